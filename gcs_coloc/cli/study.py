@@ -225,6 +225,7 @@ def readiness(
     ] = 12.0,
     jobs: JobsOption = 0,
     scheduler: SchedulerOption = None,
+    resume: ResumeOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print every loss as JSON.")] = False,
 ) -> None:
     """Check readiness: what is told before GPS is taken at a random time, against what the filter states 30 s after."""
@@ -244,6 +245,7 @@ def readiness(
             lambda done, total: progress.update(task, completed=done, total=total),
             from_s,
             first_seed,
+            kept_in(resume),
         )
     if as_json:
         print(json.dumps([asdict(loss) for loss in losses], indent=2))

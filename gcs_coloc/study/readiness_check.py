@@ -6,6 +6,7 @@ override takes it at random times.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import hypot, nan
@@ -25,6 +26,7 @@ from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.recorder.replay import Replay
 from gcs_coloc.recorder.side_tables import read_truth
 from gcs_coloc.recorder.tlog import TlogReader
+from gcs_coloc.runtime.kept_results import KeptResults
 from gcs_coloc.runtime.tasks import Progress, Workers, run_tasks
 from gcs_coloc.study.integrity.flight_classes import CLASSES
 from gcs_coloc.study.integrity.simulated_fleet import SimulatedFleet
@@ -52,6 +54,8 @@ TAKEN_FROM_S = 12.0
 """In a recording GPS is taken from here on. Chosen: after the first predictions."""
 _TAKEN_WITHIN_S = 10.0
 """And within so long. Chosen: the time between two predictions."""
+_TRUTH = "truth.csv"
+"""The true positions beside a recording."""
 _TRUTH_WITHIN_S = 0.06
 """Chosen: half a period of 10 Hz; at 20 m/s an error of a metre at most."""
 
@@ -92,8 +96,9 @@ class Loss:
         return abs(self.hdop / self.told_hdop - 1.0) <= _CLOSE
 
 
-Task = tuple[str, int, float]
-"""A class and its seed, or a recording's path and the draw of when GPS is taken; from how many seconds after its beginning on."""
+Task = tuple[str, int, float, str]
+"""A class and its seed, or a recording's path and the draw of when GPS is taken; from how many seconds after its beginning on;
+a digest of the recording and its truth, where the result is kept."""
 
 
 def run_checks(
@@ -104,8 +109,11 @@ def run_checks(
     progress: Progress,
     from_s: float = TAKEN_FROM_S,
     first_seed: int = 1,
+    kept: KeptResults | None = None,
 ) -> list[Loss]:
     """Fly so many flights of each class, seeds from the first one on, and take GPS as often in each recording.
+
+    What is kept is not computed again.
 
     Raises:
         UsageError: no such class or recording.
@@ -117,12 +125,22 @@ def run_checks(
     for path in recordings:
         if not Path(path).is_file():
             raise UsageError(f"{path}: there is no such recording")
-    tasks = [(name, seed, from_s) for seed in range(first_seed, first_seed + seeds) for name in (*classes, *recordings)]
-    return [loss for found in run_tasks(_check, tasks, workers, progress) for loss in found]
+    digests = {path: _digest(Path(path)) for path in recordings} if kept is not None else {}
+    tasks = [
+        (name, seed, from_s, digests.get(name, ""))
+        for seed in range(first_seed, first_seed + seeds)
+        for name in (*classes, *recordings)
+    ]
+    return [loss for found in run_tasks(_check, tasks, workers, progress, kept) for loss in found]
+
+
+def _digest(path: Path) -> str:
+    beside = path.with_name(_TRUTH)
+    return hashlib.sha256(path.read_bytes() + (beside.read_bytes() if beside.is_file() else b"")).hexdigest()
 
 
 def _check(task: Task) -> list[Loss]:
-    name, seed, from_s = task
+    name, seed, from_s, _ = task
     loss = _fly(name, seed) if name in CLASSES else _replay(Path(name), seed, from_s)
     return [loss] if loss is not None else []
 
@@ -153,7 +171,7 @@ def _fly(name: str, seed: int) -> Loss | None:
 def _replay(path: Path, draw: int, from_s: float) -> Loss | None:
     """Take the GPS of the vehicle that ranges at a random time of a recording; None where its GPS was not healthy then."""
     engine = Engine(load_estimator("fleet", {}), EngineSettings(request_streams=False))
-    beside = path.with_name("truth.csv")
+    beside = path.with_name(_TRUTH)
     truth = read_truth(beside) if beside.is_file() else []
     through = Replay(engine, TlogReader(path), (), lambda *_: None)
     begin_s = through.next_s

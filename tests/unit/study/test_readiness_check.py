@@ -12,7 +12,9 @@ from typer.testing import CliRunner
 
 from gcs_coloc.cli.main import app
 from gcs_coloc.core.errors import UsageError
+from gcs_coloc.runtime.kept_results import KeptResults
 from gcs_coloc.runtime.tasks import Workers
+from gcs_coloc.study import readiness_check
 from gcs_coloc.study.readiness_check import Loss, check_table, run_checks
 
 AS_TOLD = Loss("planes", "ready", 2.0, 14.0, 1.1, True, 2.1, 15.0, 1.0, 1.5, True)
@@ -60,6 +62,24 @@ def test_what_there_is_not_is_named(arguments: list[str], words: str) -> None:
     assert result.exit_code != 0
     assert isinstance(result.exception, UsageError)
     assert words in str(result.exception)
+
+
+def test_a_check_goes_on_where_it_was_stopped_unless_the_recording_has_changed(tmp_path, monkeypatch) -> None:
+    seen: list[tuple[str, int]] = []
+    monkeypatch.setattr(readiness_check, "_fly", lambda name, seed: seen.append((name, seed)))
+    monkeypatch.setattr(readiness_check, "_replay", lambda path, draw, from_s: seen.append((path.name, draw)))
+    flight, kept = tmp_path / "flight.tlog", KeptResults(tmp_path / "kept")
+    flight.write_bytes(b"frames")
+
+    def check(seeds: int) -> None:
+        run_checks(["planes"], [str(flight)], seeds, Workers(), lambda *_: None, kept=kept)
+
+    check(1)
+    check(2)
+    assert seen == [("planes", 1), ("flight.tlog", 1), ("planes", 2), ("flight.tlog", 2)]
+    (tmp_path / "truth.csv").write_text("unix_s\n")
+    check(1)
+    assert seen[4:] == [("flight.tlog", 1)]
 
 
 def test_every_loss_comes_as_json() -> None:
