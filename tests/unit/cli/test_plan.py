@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 from gcs_coloc.cli.main import app
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.planning import assessment
 from gcs_coloc.planning.assessment import assess
 from gcs_coloc.planning.fleet_plan import FleetPlan, PlannedStation, PlannedVehicle
 from gcs_coloc.planning.flight_path import Leg
@@ -178,6 +179,33 @@ def test_that_nothing_helps_is_said_on_the_terminal_as_on_the_page(tmp_path):
     assert told in ran.stdout
     assert told in (tmp_path / "r.html").read_text()
     assert "No shifted start" not in run(*apart, "--max-range", "50", "--no-improve").stdout
+
+
+def test_short_predictions_share_a_task_and_long_ones_have_their_own(monkeypatch):
+    tasks = []
+
+    def run_here(function, batches, *_):
+        tasks.append([len(batch) for batch in batches])
+        return [function(batch) for batch in batches]
+
+    def flights(length_m):
+        ways = [(500.0 * (k % 2), 300.0 * k) for k in range(1, 6)]
+        return tuple(
+            PlannedVehicle(k, f"v{k}", (*way, 100.0), (Leg((way[0], way[1] + length_m, 100.0), 20.0),))
+            for k, way in enumerate(ways, start=1)
+        )
+
+    monkeypatch.setattr(assessment, "run_tasks", run_here)
+    monkeypatch.setattr(assessment, "predict", lambda plan, denied: [(sysid, denied) for sysid in denied])
+    monkeypatch.setattr(assessment, "outlook", lambda predicted: predicted)
+    # 60 s are 30 steps, 1200 s are 600.
+    short = assess(FleetPlan(FRAME, flights(1200.0)), pairs=True, workers=Workers(), progress=lambda *_: None)
+    assess(FleetPlan(FRAME, flights(24_000.0)), pairs=False, workers=Workers(), progress=lambda *_: None)
+    assert [sum(sizes) for sizes in tasks] == [5 + 10, 5]
+    assert len(tasks[0]) == 3
+    assert tasks[1] == [1] * 5
+    assert [denied for _, denied in short.singles] == [(k,) for k in range(1, 6)]
+    assert [denied for _, denied in short.pairs[:4]] == [(1, 2), (1, 2), (1, 3), (1, 3)]
 
 
 def test_a_file_that_the_system_refuses_is_named(tmp_path):
