@@ -1,6 +1,7 @@
 """Tasks on a Dask cluster, with a real scheduler and real workers on loopback: the same results as from the plain pool."""
 
 import json
+import math
 import os
 import shutil
 import signal
@@ -149,6 +150,47 @@ def test_recordings_are_judged_alike_though_a_worker_is_killed(own_cluster: Clus
     results = [json.loads((tmp_path / where / "judge.json").read_text()) for where in ("cluster", "pool")]
     assert len(results[0]["recordings"]) == 4
     assert results[0] == results[1]
+
+
+def data_set(directory: Path) -> Path:
+    """A tag that stands among three anchors, ranged exactly for four seconds."""
+    directory.mkdir()
+    nodes = {"tag": (3.0, 4.0), "A": (0.0, 0.0), "B": (20.0, 0.0), "C": (0.0, 20.0)}
+    meta = [f'name = "{directory.name}"', 'source = "made by hand"', 'licence = "MIT"', "dims = 2"]
+    for name, (e, n) in nodes.items():
+        its = 'role = "denied"' if name == "tag" else f'role = "anchor"\ne_m = {e}\nn_m = {n}\nu_m = 1.0\nsigma_m = 0.02'
+        meta += ["[[node]]", f'id = "{name}"', its]
+    tag = nodes.pop("tag")
+    ranges = [f"{k / 5},tag,{name},{math.dist(tag, place):.5f},0.1" for k in range(20) for name, place in nodes.items()]
+    (directory / "meta.toml").write_text("\n".join(meta) + "\n")
+    (directory / "ranges.csv").write_text("\n".join(["t_s,from_id,to_id,range_m,sigma_m", *ranges]) + "\n")
+    (directory / "positions.csv").write_text("t_s,id,e_m,n_m,u_m,sigma_h_m,sigma_v_m\n0.0,tag,3.5,3.5,1,1,1\n")
+    (directory / "truth.csv").write_text("\n".join(["t_s,id,e_m,n_m,u_m", *(f"{k / 5},tag,3,4,1" for k in range(20))]) + "\n")
+    return directory
+
+
+def test_data_sets_are_evaluated_alike(cluster: Cluster, tmp_path: Path) -> None:
+    walks = [data_set(tmp_path / name) for name in ("one", "two", "three")]
+    tables = []
+    for workers in (("--scheduler", cluster.address), ("--jobs", "2")):
+        ran = gcs_coloc("evaluate", *walks, *workers, "--csv", tmp_path / "epochs.csv")
+        assert ran.returncode == 0, ran.stderr
+        tables.append((ran.stdout, (tmp_path / "epochs.csv").read_text()))
+
+    assert tables[0] == tables[1]
+    assert tables[0][1].count("tag") == 60
+
+
+def test_a_plan_is_predicted_alike(cluster: Cluster, tmp_path: Path) -> None:
+    plans = [ROOT / f"examples/plans/{name}.plan" for name in ("survey-north", "survey-south", "relay")]
+    told = []
+    for workers in (("--scheduler", cluster.address), ("--jobs", "2")):
+        ran = gcs_coloc("plan", *plans, *workers, "--no-improve", "--json", "--csv", tmp_path / "steps.csv")
+        assert ran.returncode == 0, ran.stderr
+        told.append((json.loads(ran.stdout), (tmp_path / "steps.csv").read_text()))
+
+    assert told[0] == told[1]
+    assert [vehicle["sysid"] for vehicle in told[0][0]["vehicles"]] == [1, 2, 3]
 
 
 def test_integrity_trials_go_on_on_a_cluster(cluster: Cluster, tmp_path: Path) -> None:
