@@ -117,6 +117,7 @@ class FleetService:
             self._refusals,
             self._links.forwarder,
             standby.snapshot if standby is not None else lambda: None,
+            self._behind_s,
         )
         self._overrides = [
             (sysid, override, CommandSource.FLAG if key in flagged else CommandSource.CONFIGURATION)
@@ -228,6 +229,10 @@ class FleetService:
             self._is_catching_up = False
         self._emit_unsent()
         self._wake()
+
+    def _behind_s(self) -> float:
+        """How long what is to be done next has been due: the oldest of what waits, or the engine's deadline."""
+        return self._clock() - (self._backlog.oldest_s if self._backlog else self._engine.next_deadline())
 
     def _is_behind(self) -> bool:
         """Whether what is received now is too old for its answer to be sent."""

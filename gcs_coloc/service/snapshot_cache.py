@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.messages.control import HOST_LATE_S
 from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.core.standby.standby_snapshot import StandbySnapshot
 from gcs_coloc.links.forward import Forwarder
@@ -25,7 +26,8 @@ class SnapshotCache:
     """Keeps the newest snapshot of an engine's fleet: making one costs as much as estimating.
 
     A snapshot that was recorded a moment ago serves, too. `sequences`, `refusals` and `forwarder` count what the engine does
-    not; `standby` tells which of two services sends.
+    not; `standby` tells which of two services sends, `lag_s` by how much the engine is behind: who looks on after a pause may
+    come before what waited in the sockets, and the engine knows of the pause with that.
     """
 
     def __init__(
@@ -37,6 +39,7 @@ class SnapshotCache:
         refusals: Refusals,
         forwarder: Forwarder,
         standby: Callable[[], StandbySnapshot | None] = lambda: None,
+        lag_s: Callable[[], float] = lambda: 0.0,
     ) -> None:
         self._clock = clock
         self._engine = engine
@@ -45,6 +48,7 @@ class SnapshotCache:
         self._refusals = refusals
         self._forwarder = forwarder
         self._standby = standby
+        self._lag_s = lag_s
         self._recent: FleetSnapshot | None = None
         self._recorded: FleetSnapshot | None = None
         self._counted: tuple[FleetSnapshot, FleetSnapshot] | None = None  # an engine's snapshot, and the same with all counts
@@ -69,8 +73,12 @@ class SnapshotCache:
             if self._recent is None or self._recorded is not recorded:
                 self._recent, self._recorded = self._with_standby(recorded), recorded
         elif self._recent is None or now_s - self._recent.at_s > _RECENT_S:
-            self._recent = self._with_standby(self._engine.snapshot(now_s))
+            self._recent = self._with_standby(self._with_lag(self._engine.snapshot(now_s)))
         return self._recent
+
+    def _with_lag(self, snapshot: FleetSnapshot) -> FleetSnapshot:
+        lag_s = self._lag_s()
+        return replace(snapshot, loop_lag_s=round(lag_s, 3)) if lag_s > max(snapshot.loop_lag_s, HOST_LATE_S) else snapshot
 
     def _with_standby(self, snapshot: FleetSnapshot) -> FleetSnapshot:
         standby = self._standby()

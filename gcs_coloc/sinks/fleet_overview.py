@@ -75,15 +75,15 @@ def fleet_overview(snapshot: FleetSnapshot, alarms: Iterable[Alarm], *, host: st
         every_s=every_s,
         host=host,
         estimator=snapshot.estimator,
-        vehicles=tuple(map(_vehicle, snapshot.vehicles)),
+        vehicles=tuple(_vehicle(v, snapshot.loop_lag_s) for v in snapshot.vehicles),
         alarms=tuple(
             AlarmOverview.model_validate({key: getattr(alarm, key) for key in AlarmOverview.model_fields}) for alarm in alarms
         ),
     )
 
 
-def _vehicle(v: VehicleSnapshot) -> VehicleOverview:
-    light, reason = traffic_light(v)
+def _vehicle(v: VehicleSnapshot, loop_lag_s: float) -> VehicleOverview:
+    light, reason = traffic_light(v, loop_lag_s)
     return VehicleOverview(
         sysid=v.sysid,
         name=v.name,

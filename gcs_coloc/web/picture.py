@@ -77,7 +77,7 @@ def fleet_frame(fleet: FleetSnapshot, alarms: Iterable[Alarm] = (), truths: Iter
         utc_minus_service_s=fleet.utc_minus_service_s,
         estimator=fleet.estimator,
         origin=fleet.origin,
-        vehicles=tuple(_vehicle_frame(v, true_enu_m.get(v.sysid)) for v in fleet.vehicles),
+        vehicles=tuple(_vehicle_frame(v, fleet.loop_lag_s, true_enu_m.get(v.sysid)) for v in fleet.vehicles),
         ranges=fleet.ranges,
         stations=fleet.stations,
         alarms=tuple(alarms),
@@ -101,7 +101,7 @@ def _true_positions(fleet: FleetSnapshot, truths: Iterable[HeardTruth]) -> dict[
     return {t.sysid: frame.enu_from_geodetic(t.lat_deg, t.lon_deg, heights.get(t.sysid, fleet.origin[2])) for t in fresh}
 
 
-def _vehicle_frame(v: VehicleSnapshot, truth_enu_m: Vector3 | None) -> VehicleFrame:
-    light, reason = traffic_light(v)
+def _vehicle_frame(v: VehicleSnapshot, loop_lag_s: float, truth_enu_m: Vector3 | None) -> VehicleFrame:
+    light, reason = traffic_light(v, loop_lag_s)
     shape = ellipse(v.covariance_h_m2) if v.covariance_h_m2 is not None else None
     return VehicleFrame(snapshot=v, light=light, reason=reason, ellipse=shape, truth_enu_m=truth_enu_m)

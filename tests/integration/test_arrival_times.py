@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import socket
 import sys
+import time
 from collections.abc import Callable
 
 import pytest
@@ -13,7 +14,7 @@ from vehicles import Hover
 
 from bench.free_ports import free_port, free_ports
 from gcs_coloc.config.fleets import load_settings
-from gcs_coloc.core.alarms.alarms import AlarmKind, AlarmState
+from gcs_coloc.core.alarms.alarms import AlarmKind, AlarmState, traffic_light
 from gcs_coloc.links.base import SCHEMES
 from gcs_coloc.links.udp import UdpIn
 from gcs_coloc.mavlink.refusals import Counts
@@ -129,7 +130,7 @@ def test_a_host_that_falls_behind_is_known_to_the_engine_and_told_until_it_is_ov
 
         def stands() -> tuple[float, list[AlarmKind]]:
             path.each_second(read_host_clock(clock()))
-            clock.now_s += 1.0  # past the snapshot that observers share
+            clock.now_s += 0.15  # past the snapshot that observers share
             fleet = path.snapshots.snapshot()
             kinds = [a.kind for a in path.alarms.update(fleet) if a.sysid is None and a.state is AlarmState.ACTIVE]
             return fleet.loop_lag_s, kinds
@@ -221,6 +222,55 @@ def test_a_host_with_little_time_works_its_backlog_off_in_portions_and_sends_no_
         assert "the engine was last run" in behind[0]
         assert sum(fault is not None for fault in behind) >= 2  # others had their turns meanwhile
         assert sent[-1] - at_its_pace <= 3
+        await path.close()
+        hover.sock.close()
+
+    asyncio.run(flight())
+
+
+def test_no_vehicle_is_called_silent_or_late_while_what_it_sent_waits(monkeypatch):
+    """Six seconds of datagrams wait. Page, console and log may be first to run then; they look at each turn here."""
+    monkeypatch.setitem(SCHEMES, "hand", (__name__, "HandAddress"))
+
+    async def flight() -> None:
+        clock = SlowHost()
+        clock.drive(asyncio.get_running_loop())
+        path = FleetService(load_settings(None, {"links": ["hand:127.0.0.1:1"]}), clock, read_host_clock(clock()))
+        await path.open()
+        path.start()
+        link, hover = HandLink.made, Hover(1, (0.0, 0.0, 50.0), ("127.0.0.1", 1))
+
+        def sent(step: int) -> list[bytes]:
+            hover.started = time.monotonic() - 100.0 - 0.1 * step  # its clock goes as the service's
+            return hover.telemetry(step, 3)
+
+        for step in range(20):
+            clock.now_s = round(START_S + 0.1 * step, 6)
+            for frame in sent(step):
+                link.handler(link, ("hand", 1), frame, clock.now_s)
+        lights: list[str] = []
+        told: set[AlarmKind] = set()
+
+        def look() -> None:
+            fleet = path.snapshots.recent_snapshot()
+            told.update(alarm.kind for alarm in path.alarms.update(fleet))
+            lights.extend(traffic_light(v, fleet.loop_lag_s)[0] for v in fleet.vehicles)
+
+        look()
+        link.waiting = [(frame, round(START_S + 0.1 * step, 6)) for step in range(20, 80) for frame in sent(step)]
+        clock.now_s = START_S + 8.0
+        look()
+        link.handler(link, ("hand", 1), sent(80)[0], clock.now_s)
+        assert path.fault() is not None
+        while path.fault() is not None:
+            await asyncio.sleep(0)
+            clock.now_s += 0.11  # past the snapshot that observers share
+            look()
+        path.each_second(read_host_clock(clock()))
+        look()
+        assert AlarmKind.HOST_LATE in told
+        assert told <= {AlarmKind.HOST_LATE, AlarmKind.NOT_READY, AlarmKind.NOTICE}
+        assert "bad" not in lights
         await path.close()
         hover.sock.close()
 

@@ -101,24 +101,27 @@ class Alarm:
     brief: str = ""
 
 
-def conditions(v: VehicleSnapshot) -> list[Condition]:
-    """What is wrong with a vehicle, the most serious first."""
+def conditions(v: VehicleSnapshot, loop_lag_s: float) -> list[Condition]:
+    """What is wrong with a vehicle, the most serious first.
+
+    `loop_lag_s` is by how much the host runs the service late: so long a silence is the host's, and so is the delay.
+    """
     gps = _gps_condition(v)
     found = [gps] if gps is not None else []
-    if v.delay_s is not None and v.delay_s > _LINK_LATE_S:
+    if v.delay_s is not None and v.delay_s > _LINK_LATE_S and loop_lag_s <= HOST_LATE_S:
         text = f"its reports arrive {v.delay_s:.1f} s late; what is later than the estimator waits (1 s unless set) is not used"
         action = "Is the queue of its radio full? Lower its stream rates, or use a faster link."
         found.append(Condition(AlarmKind.LINK_LATE, "warning", text, action, f"its reports arrive {v.delay_s:.1f} s late"))
-    if v.age_s > SILENT_AFTER_S:
+    if v.age_s > SILENT_AFTER_S + loop_lag_s:
         text = f"not heard for {v.age_s:.0f} s; before that: GPS {v.gps_state}, {v.gps_reason}"
         action = "Check its power and its link; the map shows where it was last."
         found.insert(0, Condition(AlarmKind.SILENT, "error", text, action, f"not heard for {v.age_s:.0f} s"))
     return found
 
 
-def traffic_light(v: VehicleSnapshot) -> tuple[LightColour, str]:
+def traffic_light(v: VehicleSnapshot, loop_lag_s: float) -> tuple[LightColour, str]:
     """The colour for one vehicle and the reason in words: its most serious condition, from which its alarm is as well."""
-    found = conditions(v)
+    found = conditions(v, loop_lag_s)
     if found:
         return ("bad" if found[0].level == "error" else "caution"), found[0].text
     return ("unknown", v.gps_reason) if v.gps_state == "unknown" else ("good", f"GPS healthy: {v.gps_reason}")
@@ -208,10 +211,12 @@ class AlarmList:
         """Raise, change and end alarms by how the fleet stands."""
         changed: list[Alarm] = []
         holding: set[tuple[int | None, AlarmKind, str]] = set()
-        found: list[tuple[int | None, Condition]] = [(v.sysid, condition) for v in fleet.vehicles for condition in conditions(v)]
+        found: list[tuple[int | None, Condition]] = [
+            (v.sysid, condition) for v in fleet.vehicles for condition in conditions(v, fleet.loop_lag_s)
+        ]
         if fleet.loop_lag_s > HOST_LATE_S:
             text = f"this computer falls behind: it ran the service {fleet.loop_lag_s:.1f} s late"
-            action = "Stop what else runs on it; vehicles may seem silent, and positions are sent late."
+            action = "Stop what else runs on it: positions are sent late, and of a silent vehicle you are told late."
             brief = f"ground computer runs {fleet.loop_lag_s:.1f} s late"
             found.append((None, Condition(AlarmKind.HOST_LATE, "warning", text, action, brief)))
         if not fleet.noise.is_as_stated:

@@ -35,9 +35,17 @@ from gcs_coloc.web.picture import ellipse, fleet_frame
     ],
 )
 def test_the_worst_that_holds_decides_the_colour_and_is_named(vehicle, colour, words):
-    got, reason = traffic_light(vehicle)
+    got, reason = traffic_light(vehicle, 0.0)
     assert got == colour
     assert words in reason
+
+
+def test_a_light_stays_as_it_is_while_the_host_s_lag_explains_the_silence():
+    view = replace(fleet_view(10.0, replace(HEALTHY, age_s=6.1)), loop_lag_s=6.0)
+    [vehicle] = fleet_frame(view).vehicles
+    assert (vehicle.light, vehicle.reason) == ("good", "GPS healthy: fix type 3, 10 satellites")
+    [vehicle] = fleet_frame(replace(view, loop_lag_s=0.2)).vehicles
+    assert (vehicle.light, vehicle.reason[:11]) == ("bad", "not heard f")
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.4, 1.5, 2.9])

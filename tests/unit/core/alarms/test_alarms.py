@@ -90,6 +90,18 @@ def test_a_vehicle_that_is_silent_keeps_the_alarm_of_its_gps_and_is_told_first()
     assert [(a.kind, a.level) for a in alarms] == [("silent", "error"), ("gps_lost", "error")]
 
 
+def test_no_vehicle_is_called_silent_or_late_for_what_the_lag_of_the_host_explains():
+    """Six seconds of datagrams wait: each vehicle was heard six seconds ago, and its reports are late, for the host is."""
+    alarms = AlarmList()
+    waiting = replace(SOUND, age_s=6.1, delay_s=0.9)
+    [late] = alarms.update(replace(fleet_view(1.0, waiting), loop_lag_s=6.0))
+    assert (late.kind, late.sysid) == (AlarmKind.HOST_LATE, None)
+    assert {a.kind for a in alarms.update(fleet_view(2.0, waiting)) if a.state is AlarmState.ACTIVE} == {"silent", "link_late"}
+    silent = replace(SOUND, age_s=9.1)
+    changed = AlarmList().update(replace(fleet_view(1.0, silent), loop_lag_s=6.0))
+    assert {a.kind for a in changed} == {"silent", "host_late"}
+
+
 def test_a_suspicion_that_turns_out_right_is_one_alarm_and_one_that_does_not_waits_to_be_read():
     alarms = AlarmList()
     after(alarms, SUSPECT, LOCATED)
@@ -132,7 +144,7 @@ def test_alike_notices_are_one_alarm_and_their_number_is_bounded():
     ],
 )
 def test_each_alarm_ends_with_what_to_do(vehicle):
-    [found, *_] = conditions(vehicle)
+    [found, *_] = conditions(vehicle, 0.0)
     assert found.action.endswith(".")
     assert len(found.action) > 20
 
@@ -142,7 +154,7 @@ def test_each_alarm_ends_with_what_to_do(vehicle):
     [((), ";"), ((2,), " if 2 is right;"), ((2, -4), " if 2, station 3 are right;")],
 )
 def test_the_alarm_of_a_located_vehicle_states_its_protection_level_and_what_no_range_tests(untested, assumption):
-    [condition] = conditions(replace(LOCATED, hpl_m=14.4, vpl_m=20.0, untested=untested))
+    [condition] = conditions(replace(LOCATED, hpl_m=14.4, vpl_m=20.0, untested=untested), 0.0)
     assert f"within 7 m (95 %), protection level 14 m{assumption}" in condition.text
 
 
@@ -178,6 +190,6 @@ def test_a_hot_standby_that_is_not_what_it_should_be_is_told_until_it_is():
 
 @pytest.mark.parametrize("view", [LOST, LOCATED, replace(LOCATED, fix_acknowledged=False), replace(LOST, aiding_override="off")])
 def test_a_service_that_holds_back_sends_nobody_to_the_stick(view):
-    [held] = conditions(replace(view, aiding_held_back=True))
+    [held] = conditions(replace(view, aiding_held_back=True), 0.0)
     assert held.action == "This service holds back: the page of the other service says what it is sent, and what to do."
     assert "not aided" not in held.brief
