@@ -163,6 +163,7 @@ def _filter(vehicle: VehicleSurvey, way: AidingMethodName) -> Iterator[Finding]:
         limits.append("{:g} m horizontally, {:g} m vertically".format(*gates.most_position_m))
     if gates.most_speed_mps is not None:
         limits.append(f"{gates.most_speed_mps:g} m/s")
-    taken = f"up to 1-sigma of {' and '.join(limits)}" if limits else "however coarse they say they are"
-    coarser = "; what is coarser goes by MAV_CMD_EXTERNAL_POSITION_ESTIMATE" if limits and way == "auto" else ""
-    yield right(f"{checks[0]} = {checks[1]:g}, {scale[0]} = {scale[1]:g}: GPS positions are taken {taken}{coarser}")
+    aligns = f"up to 1-sigma of {' and '.join(limits)}" if limits else "however coarse they say they are"
+    coarser = ", and until then coarser ones go by MAV_CMD_EXTERNAL_POSITION_ESTIMATE too" if limits and way == "auto" else ""
+    aligned = f"; once aligned it fuses any accuracy{coarser}" if limits else ""
+    yield right(f"{checks[0]} = {checks[1]:g}, {scale[0]} = {scale[1]:g}: it aligns on GPS positions {aligns}{aligned}")

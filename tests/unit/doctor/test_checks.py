@@ -31,7 +31,23 @@ def test_of_a_vehicle_that_is_set_up_right_nothing_is_said_but_that(names):
     assert {finding.severity for finding in findings} == {Severity.RIGHT}
     text = " ".join(finding.text for finding in findings)
     assert f"{names.get('GPS2_TYPE', 'GPS2_TYPE')} = 14" in text
-    assert "7.5 m horizontally, 11.25 m vertically and 1.5 m/s" in text
+    assert "it aligns on GPS positions up to 1-sigma of 7.5 m horizontally, 11.25 m vertically and 1.5 m/s; once aligned" in text
+
+
+@pytest.mark.parametrize(
+    ("checks", "method", "said"),
+    [
+        (31.0, "auto", "1.5 m/s; once aligned it fuses any accuracy, and until then coarser ones go by MAV_CMD_EXTERNAL"),
+        (31.0, "gps_input", "1.5 m/s; once aligned it fuses any accuracy"),
+        (19.0, "auto", "it aligns on GPS positions however coarse they say they are"),
+    ],
+)
+def test_the_limits_of_ekf3_are_told_as_those_of_its_alignment_alone(checks, method, said):
+    vehicle = with_parameters(EK3_GPS_CHECK=checks)
+    findings = of_vehicle(vehicle, Setup(aiding=AidingSettings(method=method)), FLEET)
+    [text] = [finding.text for finding in findings if "EK3_GPS_CHECK" in finding.text]
+    assert said in text
+    assert ("EXTERNAL" in text) == ("EXTERNAL" in said)
 
 
 @pytest.mark.parametrize(
