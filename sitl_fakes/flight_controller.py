@@ -22,7 +22,7 @@ from sitl_fakes.scenario import Vehicle as VehicleSpec
 from sitl_fakes.sensors import Purpose, RangeSample, stream
 from sitl_fakes.streams import Streams
 from sitl_fakes.telemetry import Snapshot
-from sitl_fakes.wire import named_range, peer_range_frame, ranging_beacon_frame
+from sitl_fakes.wire import debug_range, named_range, peer_range_frame, ranging_beacon_frame
 
 _BOOTING_FOR_S = 5.0  # chosen: as an autopilot boots
 _FORWARD_BAD_CRC = 8  # source: ArduPilot's GCS.h, MAVn_OPTIONS
@@ -114,16 +114,19 @@ class FlightController:
     def pack_range(self, sample: RangeSample, at_s: float) -> bytes | None:
         """Encode a measured range as the scenario wants it sent; None where the autopilot drops its companion's message.
 
-        ArduPilot forwards what it does not know only from a port with MAVn_OPTIONS bit 3 (FORWARD_BAD_CRC).
+        PX4 forwards no message that it does not know; ArduPilot only from a port with MAVn_OPTIONS bit 3 (FORWARD_BAD_CRC).
         """
         ranging, boot_s = self._scenario.ranging, self.clock.boot_s(at_s)
-        if ranging.message == "peer_range" and not int(self.params.get("MAV2_OPTIONS", _FORWARD_BAD_CRC)) & _FORWARD_BAD_CRC:
+        forwards_unknown = bool(int(self.params.get("MAV2_OPTIONS", 0.0)) & _FORWARD_BAD_CRC)
+        if ranging.message == "peer_range" and not (ranging.companion_link or forwards_unknown):
             return None
         station = self._stations.get(sample.peer)
         peer, station_id = (sample.peer, None) if station is None else (0, station.id)
         if ranging.message == "named_value":
             return self.pack(named_range(boot_s, peer, sample.range_m, station_id))
         time_s = boot_s if ranging.time_base == "boot" else self._unix_epoch_s + at_s
+        if ranging.message == "debug_vect":
+            return self.pack(debug_range(round(time_s * 1e6), peer, sample.range_m, sample.stated_sigma_m, station_id))
         common: dict[str, Any] = {
             "sysid": self.sysid,
             "compid": mavlink.MAV_COMP_ID_AUTOPILOT1,

@@ -76,7 +76,11 @@ class Gps(_Table):
 
 
 class Ranging(_Table):
-    """The ranging devices: rate per peer, noise, bias per pair (drawn once), outliers (always long), loss, message."""
+    """The ranging devices: rate per peer, noise, bias per pair (drawn once), outliers (always long), loss, message.
+
+    With `companion_link` the companion computers that they are wired to have a link of their own to the ground; else their
+    messages pass through the autopilots, as far as these forward them.
+    """
 
     rate_hz: _Rate = 10.0
     sigma_m: _Positive = 0.5
@@ -87,8 +91,9 @@ class Ranging(_Table):
     outlier_max_m: _NotNegative = 20.0
     loss: _Share = 0.0
     max_range_m: _Positive = 100_000.0
-    message: Literal["peer_range", "ranging_beacon", "named_value"] = "peer_range"
+    message: Literal["peer_range", "ranging_beacon", "debug_vect", "named_value"] = "peer_range"
     time_base: Literal["boot", "unix"] = "boot"
+    companion_link: bool = False
 
     @model_validator(mode="after")
     def _outliers_in_order(self) -> Self:

@@ -1,6 +1,6 @@
 """Hand-written MAVLink 2 frames of the messages that pymavlink's ardupilotmega dialect lacks: PEER_RANGE and RANGING_BEACON.
 
-Beside them the range as NAMED_VALUE_FLOAT, for autopilots that can send nothing else.
+Beside them the range as DEBUG_VECT and as NAMED_VALUE_FLOAT, for autopilots that can send nothing else.
 
 Written from the messages' definitions, not from the service's code, so that the wire is checked from two sides. Frame
 layout: https://mavlink.io/en/guide/serialization.html.
@@ -136,7 +136,16 @@ def ranging_beacon_frame(
     return _frame(RANGING_BEACON_ID, payload, _RANGING_BEACON_CRC_EXTRA, sysid, compid, frame_sequence)
 
 
+def debug_range(time_usec: int, peer_system: int, range_m: float, range_std_m: float, station: int | None = None) -> Any:
+    """Build a range as DEBUG_VECT, named as `named_range` does: x is the range, y its standard deviation (0 unknown)."""
+    return mavlink.MAVLink_debug_vect_message(_name(peer_system, station).encode(), time_usec, range_m, range_std_m, -1.0)
+
+
 def named_range(boot_s: float, peer_system: int, range_m: float, station: int | None = None) -> Any:
     """Build a range as NAMED_VALUE_FLOAT, named "RNG" and the peer's system id, or "STN" and the station's id."""
-    name = f"RNG{peer_system}" if station is None else f"STN{station}"
-    return mavlink.MAVLink_named_value_float_message(int(boot_s * 1000.0) & 0xFFFFFFFF, name.encode(), range_m)
+    time_boot_ms = int(boot_s * 1000.0) & 0xFFFFFFFF
+    return mavlink.MAVLink_named_value_float_message(time_boot_ms, _name(peer_system, station).encode(), range_m)
+
+
+def _name(peer_system: int, station: int | None) -> str:
+    return f"RNG{peer_system}" if station is None else f"STN{station}"

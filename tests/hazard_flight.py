@@ -164,6 +164,8 @@ def fly_through(
         if vehicle["sysid"] == DENIED:
             vehicle["params"] = {**vehicle.get("params", {}), **(params or {})}
             vehicle["autopilot"] = autopilot
+    if autopilot == "px4":
+        table["ranging"]["message"] = "debug_vect"  # it does not forward its companion's PEER_RANGE
     ordered = sorted(faults, key=lambda f: f["at_s"])
     befall = Scenario.model_validate(table | {"fault": ordered}).fault
     loop = _flown(json.dumps(table), seed, switch_primary, tuple(befall), duration_s)

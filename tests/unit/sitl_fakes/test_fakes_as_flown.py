@@ -117,6 +117,26 @@ def test_ranges_of_its_companion_get_through_only_where_it_forwards_what_it_does
     assert len(ranges(8)) == pytest.approx(50, abs=2)
 
 
+@pytest.mark.parametrize(
+    ("kind", "message", "companion_link", "gets_through"),
+    [
+        ("px4", "peer_range", False, False),
+        ("px4", "peer_range", True, True),
+        ("px4", "ranging_beacon", False, True),
+        ("px4", "debug_vect", False, True),
+        ("ardupilot", "peer_range", True, True),
+    ],
+)
+def test_a_px4_forwards_no_peer_range_of_its_companion_which_needs_a_link_of_its_own(kind, message, companion_link, gets_through):
+    ranging = {"message": message, "companion_link": companion_link}
+    params = {"MAV2_OPTIONS": 0} if kind == "ardupilot" else {}
+    vehicle = {**STRAIGHT, "autopilot": kind, "ranges_to": [2], "params": params}
+    other = {"sysid": 2, "waypoints": [[500, 0], [500, 9000]]}
+    name = {"peer_range": "UNKNOWN_181600", "ranging_beacon": "UNKNOWN_513", "debug_vect": "DEBUG_VECT"}[message]
+    got = parse(Fleet(scenario(vehicle=[vehicle, other], ranging=ranging), 1).advance(5.0), name)
+    assert len(got) == (pytest.approx(50, abs=2) if gets_through else 0)
+
+
 def test_a_ground_station_on_another_port_is_forwarded_by_every_vehicle():
     out = Fleet(scenario(ground_station=True), 1).advance(10.0)
     beats = [m for d in out for m in parse([d], "HEARTBEAT") if m.get_srcSystem() == 255]

@@ -59,6 +59,8 @@ def errors_m(flight: Flight, sysid: int) -> np.ndarray:
         ("peer_range", "unix"),
         ("ranging_beacon", "boot"),
         ("ranging_beacon", "unix"),
+        ("debug_vect", "boot"),
+        ("debug_vect", "unix"),
         ("named_value", "boot"),
     ],
 )
@@ -71,7 +73,7 @@ def test_every_way_to_report_a_range_locates_the_vehicle(message, time_base):
     assert set(flight.gps_inputs) == {4}  # the healthy are sent nothing
 
 
-@pytest.mark.parametrize("message", ["peer_range", "ranging_beacon", "named_value"])
+@pytest.mark.parametrize("message", ["peer_range", "ranging_beacon", "debug_vect", "named_value"])
 def test_an_aircraft_alone_is_located_by_stations_of_every_message(message):
     scenario = load_scenario("stations")
     scenario = scenario.model_copy(update={"ranging": scenario.ranging.model_copy(update={"message": message})})

@@ -237,7 +237,8 @@ def px4_alone(stations: tuple[int, ...]):
     )
     settings = EngineSettings(aiding=AidingSettings(method="ranging_beacon"), stations=placed)
     bad_air = scenario.dead_reckoning.model_copy(update={"airspeed_wander": 0.08, "heading_wander_deg": 4.0})
-    return scenario.model_copy(update={"vehicle": [vehicle], "dead_reckoning": bad_air}), settings
+    forwarded = scenario.ranging.model_copy(update={"message": "debug_vect"})
+    return scenario.model_copy(update={"vehicle": [vehicle], "dead_reckoning": bad_air, "ranging": forwarded}), settings
 
 
 def autopilot_errors_m(flight, from_s: float) -> list[float]:
