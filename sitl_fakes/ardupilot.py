@@ -62,6 +62,9 @@ class ArduPilot(Autopilot):
     def receive_global_position(self, sensor_id: int, position_m: tuple[float, float], eph_m: float, at_s: float) -> None:
         """Pass over GLOBAL_POSITION_SENSOR: ArduPilot knows no such sensor."""
 
+    def receive_vision(self, position_m: tuple[float, float], variance_m2: float, at_s: float) -> None:
+        """Pass over VISION_POSITION_ESTIMATE: EK3_SRC1_POSXY is GPS."""
+
     def receive_range(self, beacon: BeaconRange, at_s: float) -> None:
         """Pass over ranges: ArduPilot has no driver that takes RANGING_BEACON."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import NamedTuple
 
+from sitl_fakes.geodesy import Vector
 from sitl_fakes.guidance import Guidance, heading_for_course
 from sitl_fakes.navigation import HeightFilter, Navigation
 from sitl_fakes.receivers import GpsFix, Receiver
@@ -37,7 +38,8 @@ class Autopilot(ABC):
     """One vehicle's autopilot since its last boot. Parameters and the place on the route outlive it.
 
     `receivers` are its two GPS ports, `in_use` the number of the one it navigates on. `lanes` are the filters that it runs side
-    by side, `lane` the number of the one it goes by. `armed` is settled by whoever boots it.
+    by side, `lane` the number of the one it goes by. `armed` is settled by whoever boots it. `origin_m` (east, north, up) is that
+    of a PX4's local frame, once it has one.
     """
 
     def __init__(self, lanes: tuple[Navigation, ...], guidance: Guidance) -> None:
@@ -47,6 +49,7 @@ class Autopilot(ABC):
         self.lane = 0
         self.height = HeightFilter()
         self.had_gps_time = False
+        self.origin_m: Vector | None = None
         self.armed = True
         self._guidance = guidance
         self._heading_to_hold: float | None = None
@@ -85,6 +88,10 @@ class Autopilot(ABC):
         """Take a GLOBAL_POSITION_SENSOR: position east and north (m) with its standard deviation (m)."""
 
     @abstractmethod
+    def receive_vision(self, position_m: tuple[float, float], variance_m2: float, at_s: float) -> None:
+        """Take a VISION_POSITION_ESTIMATE: position east and north (m), the larger of its two variances (m^2, NaN unknown)."""
+
+    @abstractmethod
     def receive_range(self, beacon: BeaconRange, at_s: float) -> None:
         """Take a RANGING_BEACON."""
 
@@ -110,6 +117,10 @@ class Autopilot(ABC):
     def gps_healthy(self, at_s: float) -> bool:
         """The GPS bit of SYS_STATUS."""
 
+    def uses_global_position(self, at_s: float) -> bool:
+        """Whether what it navigates on is a global position."""
+        return self.source(at_s) not in (NO_POSITION, DEAD_RECKONING)
+
     def own_gps_in_use(self, at_s: float) -> bool:
         """Whether the aircraft's own receiver is the one in use, and used."""
         return self.source(at_s) == "gps1"
@@ -130,8 +141,8 @@ class Autopilot(ABC):
         return heading_for_course(course, air.airspeed_mps, *self.navigation.wind_mps)
 
     def source(self, at_s: float) -> str:
-        """What it navigates on: "gps1", "gps2", "gps1 injected", "gps2 injected", "aux global position", "ranging beacons",
-        "dead_reckoning" or "none".
+        """What it navigates on: "gps1", "gps2", "gps1 injected", "gps2 injected", "aux global position", "vision position",
+        "ranging beacons", "dead_reckoning" or "none".
         """
         if self.navigation.position_m is None:
             return NO_POSITION

@@ -15,6 +15,7 @@ from pymavlink.dialects.v20 import development
 from sitl_fakes.autopilot import ACCEPTED, DENIED, FAILED, TEMPORARILY_REJECTED, UNSUPPORTED, BeaconRange
 from sitl_fakes.faults import fault_of_command
 from sitl_fakes.flight_controller import FlightController
+from sitl_fakes.geodesy import from_px4_local
 from sitl_fakes.receivers import fix_from_gps_input
 
 _EXTERNAL_POSITION_ESTIMATE = 43003  # source: MAVLink, common.xml
@@ -60,6 +61,17 @@ def _global_position_sensor(vehicle: FlightController, message: Any, at_s: float
     place = _horizontal_m(vehicle, message.lat, message.lon)
     if place is not None and math.isfinite(message.eph):
         vehicle.autopilot.receive_global_position(message.id, place, message.eph, at_s)
+    return []
+
+
+def _vision_position_estimate(vehicle: FlightController, message: Any, at_s: float) -> list[Any]:
+    """A PX4 reads north and east of its local frame, and their variances on the diagonal of the covariance."""
+    origin_m = vehicle.autopilot.origin_m
+    if origin_m is not None and math.isfinite(message.x) and math.isfinite(message.y):
+        lat_0, lon_0, _ = vehicle.frame.to_lla(*origin_m)
+        lat_deg, lon_deg = from_px4_local(lat_0, lon_0, message.x, message.y)
+        east, north, _ = vehicle.frame.to_enu(lat_deg, lon_deg, vehicle.altitude_m)
+        vehicle.autopilot.receive_vision((east, north), max(message.covariance[0], message.covariance[6]), at_s)
     return []
 
 
@@ -201,6 +213,7 @@ def _ack(message: Any, result: int) -> Any:
 _HANDLERS = {
     "GPS_INPUT": _gps_input,
     "GLOBAL_POSITION_SENSOR": _global_position_sensor,
+    "VISION_POSITION_ESTIMATE": _vision_position_estimate,
     "RANGING_BEACON": _ranging_beacon,
     "TIMESYNC": _timesync,
     "PARAM_REQUEST_LIST": _param_request_list,

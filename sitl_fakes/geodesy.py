@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 _A = 6378137.0  # m; source: WGS 84
 _F = 1.0 / 298.257223563  # source: WGS 84
 _E2 = _F * (2.0 - _F)
+_PX4_RADIUS_M = 6_371_000.0  # source: PX4's CONSTANTS_RADIUS_OF_EARTH
 
 Vector = tuple[float, float, float]
 
@@ -52,6 +53,21 @@ def _enu_axes(lat_deg: float, lon_deg: float) -> NDArray[np.float64]:
             [cos_lat * cos_lon, cos_lat * sin_lon, sin_lat],
         ]
     )
+
+
+def from_px4_local(origin_lat_deg: float, origin_lon_deg: float, north_m: float, east_m: float) -> tuple[float, float]:
+    """Latitude and longitude (deg) of a place of PX4's local frame, by its projection: azimuthal equidistant on a sphere.
+
+    Source: PX4's lib/geo, MapProjection::reproject.
+    """
+    lat_0, north, east = math.radians(origin_lat_deg), north_m / _PX4_RADIUS_M, east_m / _PX4_RADIUS_M
+    arc = math.hypot(north, east)
+    if arc == 0.0:
+        return origin_lat_deg, origin_lon_deg
+    sin_arc, cos_arc = math.sin(arc), math.cos(arc)
+    lat = math.asin(cos_arc * math.sin(lat_0) + north * sin_arc * math.cos(lat_0) / arc)
+    lon = math.atan2(east * sin_arc, arc * math.cos(lat_0) * cos_arc - north * math.sin(lat_0) * sin_arc)
+    return math.degrees(lat), origin_lon_deg + math.degrees(lon)
 
 
 class WorldFrame:

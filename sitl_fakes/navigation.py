@@ -143,7 +143,7 @@ class Navigation:
         """
         sigma = max(sigma_m, _LEAST_POSITION_SIGMA_M)
         if self.position_m is None:
-            self._take_position(seen_m, sigma, at_s)
+            self.take_position(seen_m, sigma, at_s)
             return True
         innovation = (seen_m[0] - self.position_m[0], seen_m[1] - self.position_m[1])
         spread = self._p.pp + sigma**2
@@ -152,7 +152,7 @@ class Navigation:
             self._update(innovation, self._p.pp / spread, self._p.pw / spread, spread)
             self._position_at_s = at_s
         elif may_reset and self.since_position_s(at_s) > self._reset_after_s:
-            self._take_position(seen_m, sigma, at_s)
+            self.take_position(seen_m, sigma, at_s)
         return not self.refusing
 
     def correct_range(
@@ -229,7 +229,8 @@ class Navigation:
         p.pw -= gain_position * gain_wind * spread
         p.ww -= gain_wind**2 * spread
 
-    def _take_position(self, position_m: tuple[float, float], sigma_m: float, at_s: float) -> None:
+    def take_position(self, position_m: tuple[float, float], sigma_m: float, at_s: float) -> None:
+        """Take a position (east, north, m) over whole, with its standard deviation (m); the wind is kept."""
         self.position_m = position_m
         self._p.pp, self._p.pw = sigma_m**2, 0.0
         self._position_at_s = at_s

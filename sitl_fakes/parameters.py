@@ -46,6 +46,11 @@ _PX4: dict[str, float] = {
     "EKF2_AGP0_GATE": 3.0,
     "EKF2_AGP0_ID": 1.0,
     "EKF2_AGP0_NOISE": 1.0,
+    "EKF2_EVP_GATE": 5.0,
+    "EKF2_EVP_NOISE": 0.1,
+    "EKF2_EV_CTRL": 0.0,
+    "EKF2_EV_DELAY": 0.0,
+    "EKF2_EV_NOISE_MD": 0.0,
     "EKF2_RNGBC_CTRL": 0.0,
     "EKF2_RNGBC_DELAY": 0.0,
     "EKF2_RNGBC_GATE": 5.0,
@@ -62,6 +67,7 @@ DEFAULTS: Mapping[Kind, Mapping[str, float]] = {"ardupilot": _ARDUPILOT, "px4": 
 
 _REAL = {
     *("SIM_GPS1_GLTCH_X", "SIM_GPS1_GLTCH_Y"),
+    *("EKF2_EVP_GATE", "EKF2_EVP_NOISE", "EKF2_EV_DELAY"),
     *("EKF2_RNGBC_DELAY", "EKF2_RNGBC_GATE", "EKF2_RNGBC_NOISE"),
     *("EKF2_AGP0_DELAY", "EKF2_AGP0_GATE", "EKF2_AGP0_NOISE", "EKF2_REQ_EPH", "EKF2_REQ_EPV", "EKF2_REQ_SACC"),
 }

@@ -1,7 +1,9 @@
-"""PX4 as far as aid from outside goes: no GPS_INPUT, an auxiliary global position, ranges, external position estimates.
+"""PX4 as far as aid from outside goes: no GPS_INPUT, an auxiliary global position, a vision position, ranges, external position
+estimates.
 
-After PX4's main of August 2026 as flown with SIH: EKF2's AuxGlobalPosition, its ranging beacons,
-VEHICLE_CMD_EXTERNAL_POSITION_ESTIMATE and handleSensorFusionCommand. A GLOBAL_POSITION_SENSOR is stamped on receipt. A
+After PX4's main of August 2026 as flown with SIH: EKF2's AuxGlobalPosition, controlEvPosFusion, its ranging beacons,
+VEHICLE_CMD_EXTERNAL_POSITION_ESTIMATE and handleSensorFusionCommand. A GLOBAL_POSITION_SENSOR is stamped on receipt, and a
+VISION_POSITION_ESTIMATE taken to be as new: its sender's clock is not known. A
 RANGING_BEACON's time is taken for the boot clock's, unconverted; a sample that is not a step of the buffer younger than the last
 one, or far behind the horizon, is dropped. The GNSS checks are reduced to the limits of EKF2_REQ_*.
 """
@@ -18,9 +20,9 @@ from sitl_fakes.receivers import GpsFix
 
 _UNKNOWN_ACCURACY_M = 50.0
 _LONGEST_AGE_S = 15.0
-_HORIZONTAL = 1  # source: EKF2_AGP0_CTRL, bit 0
+_HORIZONTAL = 1  # source: EKF2_AGP0_CTRL and EKF2_EV_CTRL, bit 0
 _HELD_S = 1.0  # chosen: some fixes missed
-_AUX, _RANGES = "aux global position", "ranging beacons"
+_AUX, _VISION, _RANGES = "aux global position", "vision position", "ranging beacons"
 _BUFFER_STEP_S = 0.065  # _min_obs_interval_us as flown
 _HORIZON_S, _FUSED_WITHIN_S = 0.2, 0.1  # EKF2_DELAY_MAX; TimestampedRingBuffer::pop_first_older_than
 _SOURCES = "EKF2_SENS_EN"
@@ -37,6 +39,8 @@ class Px4(Autopilot):
         self._uses_own_gps = bool(int(params[_SOURCES]) & _OWN_GPS)
         self._gps_used_at_s = self._aux_used_at_s = -math.inf
         self._range_stamp_s = -math.inf
+        self._vision_at_s = -math.inf
+        self._vision_bias_m = (0.0, 0.0)
 
     def receive_own_fix(self, fix: GpsFix, at_s: float) -> None:
         """Take a message of the aircraft's own receiver, if it is as good as EKF2_REQ_* demand."""
@@ -46,6 +50,7 @@ class Px4(Autopilot):
             self._uses_own_gps = bool(int(self._params[_SOURCES]) & _OWN_GPS)
         if self._uses_own_gps and self._good_enough(fix):
             self.navigation.correct(fix, at_s)
+            self.origin_m = self.origin_m or fix.position_enu_m
             self._last_used, self._gps_used_at_s = "gps1", at_s
 
     def receive_gps_input(self, gps_id: int, fix: GpsFix, at_s: float) -> None:
@@ -65,6 +70,29 @@ class Px4(Autopilot):
             may_reset=at_s - self._gps_used_at_s > _HELD_S,
         ):
             self._last_used, self._aux_used_at_s = _AUX, at_s
+
+    def receive_vision(self, position_m: tuple[float, float], variance_m2: float, at_s: float) -> None:
+        """Fuse a position of the local frame where EKF2_EV_CTRL has it on, with its own variance unless EKF2_EV_NOISE_MD is 1.
+
+        The first one sets the estimate. Beside its own receiver they move nothing: EKF2 learns how far they are off then.
+        """
+        p, believed = self._params, self.navigation.position_m
+        if not self._vision_on() or believed is None:
+            return
+        least_m = p["EKF2_EVP_NOISE"]
+        is_stated = not int(p["EKF2_EV_NOISE_MD"]) and math.isfinite(variance_m2)
+        sigma_m = max(math.sqrt(max(variance_m2, 0.0)), least_m) if is_stated else least_m
+        goes_on, self._vision_at_s = at_s - self._vision_at_s <= _HELD_S, at_s
+        if at_s - self._gps_used_at_s <= _HELD_S:
+            self._vision_bias_m = (position_m[0] - believed[0], position_m[1] - believed[1])
+            return
+        self._vision_bias_m = self._vision_bias_m if goes_on else (0.0, 0.0)
+        seen_m = (position_m[0] - self._vision_bias_m[0], position_m[1] - self._vision_bias_m[1])
+        if not goes_on:
+            self.navigation.take_position(seen_m, sigma_m, at_s)
+        elif not self.navigation.correct_position(seen_m, sigma_m, at_s, gate_sigma=max(p["EKF2_EVP_GATE"], 1.0)):
+            return
+        self._last_used, self._aux_used_at_s = _VISION, at_s
 
     def receive_range(self, beacon: BeaconRange, at_s: float) -> None:
         """Fuse a range where EKF2_RNGBC_CTRL has it on; EKF2_RNGBC_NOISE is the least sigma."""
@@ -106,11 +134,20 @@ class Px4(Autopilot):
         located = self.source(at_s) not in (NO_POSITION, DEAD_RECKONING)
         return None if located else "Arming denied: Resolve system health failures first"
 
+    def uses_global_position(self, at_s: float) -> bool:
+        """Whether a receiver or an auxiliary position is fused; a vision position and ranges are none."""
+        return self.source(at_s) in ("gps1", _AUX)
+
     def injected_refusal(self, at_s: float) -> str | None:
-        """Why auxiliary positions are not used now, or None where they are."""
+        """Why positions from outside are not used now, or None where they are."""
+        if self._vision_on():
+            return None if at_s - self._aux_used_at_s <= _HELD_S else "no vision position is fused"
         if off := self._slot_off():
             return off
         return None if at_s - self._aux_used_at_s <= _HELD_S else "no auxiliary global position is fused"
+
+    def _vision_on(self) -> bool:
+        return bool(int(self._params["EKF2_EV_CTRL"]) & _HORIZONTAL) and self.origin_m is not None
 
     def _slot_off(self) -> str | None:
         if not int(self._params["EKF2_AGP0_CTRL"]) & _HORIZONTAL:

@@ -39,6 +39,7 @@ _PX4 = {
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: (telemetry.estimator_status, 2.0),
     mavlink.MAVLINK_MSG_ID_ALTITUDE: (telemetry.altitude, 5.0),
     development.MAVLINK_MSG_ID_GNSS_INTEGRITY: (telemetry.gnss_integrity, 1.0),
+    mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: (telemetry.gps_global_origin, 0.0),
 }
 _STREAMS: Mapping[Kind, Mapping[int, tuple[_Builder, float]]] = {"ardupilot": _ARDUPILOT, "px4": _PX4}
 _TRUTH_RATE_HZ = 10.0  # chosen: as often as the fleet's reports

@@ -70,9 +70,9 @@ _SENSORS_PRESENT, _SENSORS_ENABLED, _SENSORS_HEALTHY = 320994367, 52558911, 5360
 _GPS_SENSOR = mavlink.MAV_SYS_STATUS_SENSOR_GPS
 _EKF_NORMAL, _EKF_RELATIVE, _EKF_NO_POSITION, _EKF_GLITCH = 831, 303, 165, 32768
 _EKF_ABSOLUTE_FOR_S = 10.0
-# As PX4 SIH quadrotors said: 895 while a global position is used, 383 without one, 101 in failsafe; 128 beside it at rest.
+# As PX4 SIH quadrotors said: 895 while a global position is used, 383 without one or by
+# vision or ranges, 101 in failsafe; 128 beside it at rest.
 _EKF2_NORMAL, _EKF2_UNAIDED, _EKF2_DEAD_RECKONING, _EKF2_NO_POSITION = 895, 383, 101, 165
-_EKF2_USED_FOR_S = 1.0  # chosen: some fixes missed
 _EKF2_ABSOLUTE_FOR_S = 5.0  # source: EKF2_NOAID_TOUT, its default
 _PX4_DEVICE_ID = 33  # the low byte of a device id: no instance, and no number that others know it by
 
@@ -205,6 +205,16 @@ def altitude(s: Snapshot) -> Any:
     )
 
 
+def gps_global_origin(s: Snapshot) -> Any:
+    """GPS_GLOBAL_ORIGIN (49): that of a PX4's local frame; None before its first fix."""
+    if s.autopilot.origin_m is None:
+        return None
+    lat, lon, alt = s.frame.to_lla(*s.autopilot.origin_m)
+    return mavlink.MAVLink_gps_global_origin_message(
+        round(lat * 1e7), round(lon * 1e7), round(alt * 1000.0), round(s.boot_s * 1e6)
+    )
+
+
 def ekf_status_report(s: Snapshot) -> Any:
     """EKF_STATUS_REPORT (193): ArduPilot's flags."""
     navigation = s.autopilot.navigation
@@ -224,7 +234,7 @@ def estimator_status(s: Snapshot) -> Any:
         flags = _EKF2_NO_POSITION
     else:
         unaided_s = navigation.since_position_s(s.at_s)
-        flags = _EKF2_NORMAL if unaided_s <= _EKF2_USED_FOR_S else _EKF2_UNAIDED
+        flags = _EKF2_NORMAL if s.autopilot.uses_global_position(s.at_s) else _EKF2_UNAIDED
         flags = flags if unaided_s <= _EKF2_ABSOLUTE_FOR_S else _EKF2_DEAD_RECKONING
         flags |= 0 if s.autopilot.armed else mavlink.ESTIMATOR_CONST_POS_MODE
         flags |= mavlink.ESTIMATOR_GPS_GLITCH if s.autopilot.gps_glitching(s.at_s) else 0

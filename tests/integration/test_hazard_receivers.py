@@ -41,6 +41,14 @@ def test_a_px4_that_loses_its_gps_flies_on_global_position_sensor():
     assert not out.fix_types(DENIED, 0.0)
 
 
+def test_a_px4_without_an_auxiliary_position_flies_on_vision_position_estimate():
+    """As PX4 1.14 to 1.17, which have no other way in."""
+    out = fly_through(LOST, duration_s=60.0, autopilot="px4", params={"EKF2_AGP0_CTRL": 0.0, "EKF2_EV_CTRL": 1.0})
+    assert {s.truth.source for s in out.flight.samples[DENIED] if s.at_s > 20.0} == {"vision position"}
+    assert out.worst_belief_m(DENIED, 20.0) < 1.5 * SOUND_M
+    assert not any("not taken" in said for said in out.words(DENIED))
+
+
 @pytest.mark.parametrize("switch_primary", ["off", "auto"])
 def test_a_px4_goes_on_with_a_faulty_receiver_unless_it_is_switched_off(switch_primary):
     walked_off = fault("gps_spoofed", at_s=20.0, speed_mps=5.0)

@@ -10,6 +10,8 @@ from pydantic import ValidationError
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.dialects.v20 import development
 
+from gcs_coloc.core.aiding.methods.px4_positions import px4_local_m
+from gcs_coloc.core.messages.inbound import GlobalOrigin
 from sitl_fakes.faults import Reboot
 from sitl_fakes.fleet import Fleet
 from tests.unit.sitl_fakes.fakes_support import GroundStation, aid, lost, parse, scenario
@@ -32,6 +34,31 @@ def stream_positions(fleet, from_s, to_s, *, eph_m=3.0, shift_east_m=0.0, interv
         )
         fleet.deliver(1, gcs.pack(message), fleet.now_s)
     return fleet.advance(to_s + 0.6)  # until the next status has been sent
+
+
+def ask_origin(fleet):
+    request = mavlink.MAVLink_command_long_message(1, 1, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, 49, 0, 0, 0, 0, 0, 0)
+    fleet.deliver(1, GroundStation().pack(request), fleet.now_s)
+    return parse(fleet.advance(fleet.now_s + 0.02), "GPS_GLOBAL_ORIGIN")
+
+
+def stream_vision(fleet, from_s, to_s, *, sigma_m=3.0, shift_east_m=0.0, interval_s=0.2):
+    """VISION_POSITION_ESTIMATE of the true position as it is when it arrives, by the origin that the vehicle tells."""
+    gcs, [told] = GroundStation(), ask_origin(fleet)
+    origin = GlobalOrigin(1, 0.0, told.latitude * 1e-7, told.longitude * 1e-7, told.altitude / 1e3)
+    for k in range(1, math.floor((to_s - from_s) / interval_s + 1e-9) + 1):
+        fleet.advance(from_s + k * interval_s)
+        t = fleet.truth()[1]
+        lat, lon, alt = fleet.frame.to_lla(t.east_m + shift_east_m, t.north_m, t.up_m)
+        north_m, east_m = px4_local_m(origin, lat, lon)
+        covariance = [0.0] * 21
+        covariance[0] = covariance[6] = sigma_m**2
+        nan = math.nan
+        message = mavlink.MAVLink_vision_position_estimate_message(
+            12345, north_m, east_m, origin.alt_msl_m - alt, nan, nan, nan, covariance
+        )
+        fleet.deliver(1, gcs.pack(message), fleet.now_s)
+    return fleet.advance(to_s + 0.6)
 
 
 def error_m(fleet):
@@ -130,6 +157,57 @@ def test_a_position_beyond_the_gate_is_refused_while_its_own_receiver_is_good_an
     assert error_m(fleet) < 3.0
     stream_positions(fleet, 19.6, 40.0, shift_east_m=200.0)
     assert error_m(fleet) == pytest.approx(200.0, abs=10.0)
+
+
+VISION = {"EKF2_AGP0_CTRL": 0, "EKF2_EV_CTRL": 1}
+
+
+def test_vision_positions_about_its_own_origin_keep_it_where_it_is_after_a_loss_while_they_come():
+    aided = px4(lost(1), **VISION)
+    aided.advance(5.0)
+    out = stream_vision(aided, 5.0, 120.0)
+    assert aided.truth()[1].source == "vision position"
+    assert aided.truth()[1].aid_refusal is None
+    # 2.5 km north of its origin the projection and the ellipsoid are metres apart: what is off is no projection.
+    assert error_m(aided) < 3.0
+    # Bit 512 is of a global position, which this is not; bit 256 tells of it.
+    assert {m.flags for m in parse(out, "ESTIMATOR_STATUS")[-5:]} == {383}
+    aided.advance(130.0)
+    assert aided.truth()[1].source == "dead_reckoning"
+    assert aided.truth()[1].aid_refusal == "no vision position is fused"
+
+
+def test_without_the_horizontal_bit_of_ekf2_ev_ctrl_a_vision_position_is_not_used():
+    fleet = px4(lost(1), EKF2_AGP0_CTRL=0, EKF2_EV_CTRL=14)
+    fleet.advance(5.0)
+    stream_vision(fleet, 5.0, 15.0)
+    assert fleet.truth()[1].source == "dead_reckoning"
+
+
+@pytest.mark.parametrize(("noise_md", "stated_m", "follows"), [(0, 30.0, False), (1, 30.0, True), (0, 0.01, True)])
+def test_a_vision_position_counts_by_its_own_variance_unless_ekf2_ev_noise_md_is_set(noise_md, stated_m, follows):
+    fleet = px4(lost(1), EKF2_EV_NOISE_MD=noise_md, EKF2_EVP_GATE=1000, **VISION)
+    fleet.advance(5.0)
+    stream_vision(fleet, 5.0, 10.0, sigma_m=stated_m)
+    stream_vision(fleet, 10.6, 12.0, sigma_m=stated_m, shift_east_m=20.0)
+    assert (error_m(fleet) > 15.0) == follows
+
+
+def test_beside_its_own_receiver_a_vision_position_moves_nothing_and_its_offset_is_kept_at_the_loss():
+    fleet = px4(lost(1, 20.0), **VISION)
+    fleet.advance(5.0)
+    stream_vision(fleet, 5.0, 15.0, shift_east_m=100.0)
+    assert fleet.truth()[1].source == "gps1"
+    assert error_m(fleet) < 3.0
+    stream_vision(fleet, 15.6, 40.0, shift_east_m=100.0)
+    assert fleet.truth()[1].source == "vision position"
+    assert error_m(fleet) < 5.0
+
+
+def test_without_gps_since_the_start_it_has_no_origin():
+    fleet = px4(lost(1, 0.0), **VISION)
+    fleet.advance(5.0)
+    assert ask_origin(fleet) == []
 
 
 def test_its_integer_parameters_travel_as_bytes_and_reals_as_numbers():
