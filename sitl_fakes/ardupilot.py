@@ -81,12 +81,15 @@ class ArduPilot(Autopilot):
         return ACCEPTED
 
     def arming_refusal(self, at_s: float) -> str | None:
-        """Go through the GPS checks: each port in use has a 3D fix in good rhythm, and the two are within 50 m."""
+        """Go through the GPS checks: each port in use has a 3D fix in good rhythm, MAVLink's for 10 s, and the two are within
+        50 m.
+        """
         ports = [i for i in (0, 1) if self._params[f"GPS{i + 1}_TYPE"] != 0]
         for i in ports:
             if self.receivers[i].fix_type(at_s) < 3:
                 return f"Arm: GPS {i + 1}: Bad fix"
-            if not self.receivers[i].rhythm_ok():
+            is_settled = not is_injected(i, self._params) or self.receivers[i].is_settled(at_s)
+            if not (is_settled and self.receivers[i].rhythm_ok()):
                 return f"Arm: GPS {i + 1}: not healthy"
         fixes = [self.receivers[i].fix for i in ports]
         if len(fixes) == 2 and fixes[0] is not None and fixes[1] is not None:

@@ -16,6 +16,7 @@ from sitl_fakes.geodesy import Vector, WorldFrame
 _TIMEOUT_S = 4.0  # source of this and the next three: ArduPilot's AP_GPS.cpp
 _MAX_MEAN_INTERVAL_S = 0.215
 _MAX_INTERVAL_S = 0.245
+_SETTLED_AFTER_S = 10.0  # as measured: a plane with all checks armed 10 to 30 s after the stream began, not before
 _INTERVAL_SMOOTHING = 0.02
 _TYPE_MAVLINK = 14  # source: GPS1_TYPE, ArduPilot's parameter list
 _CHECK_SATELLITES, _CHECK_HDOP, _CHECK_SPEED, _CHECK_POSITION = 1, 2, 4, 8  # source: EK3_GPS_CHECK, same list
@@ -53,7 +54,7 @@ class Receiver:
     def __init__(self) -> None:
         self.fix: GpsFix | None = None
         self.fixed_at_s: float | None = None
-        self._heard_at_s = 0.0
+        self._heard_at_s = self._began_at_s = 0.0
         self._mean_interval_s: float | None = None
         self._late_in_a_row = 0
 
@@ -61,7 +62,7 @@ class Receiver:
         """Take a message from the receiver."""
         interval = at_s - self._heard_at_s
         if self.fix is None or interval > _TIMEOUT_S:
-            self._mean_interval_s, self._late_in_a_row = None, 0
+            self._mean_interval_s, self._late_in_a_row, self._began_at_s = None, 0, at_s
         else:
             mean = interval if self._mean_interval_s is None else self._mean_interval_s
             self._mean_interval_s = mean + _INTERVAL_SMOOTHING * (interval - mean)
@@ -79,6 +80,10 @@ class Receiver:
     def satellites(self, at_s: float) -> int:
         """Satellites in use now."""
         return self.fix.satellites if self.fix is not None and at_s - self._heard_at_s <= _TIMEOUT_S else 0
+
+    def is_settled(self, at_s: float) -> bool:
+        """Whether messages have come for so long that a receiver of MAVLink counts as healthy before arming."""
+        return at_s - self._began_at_s >= _SETTLED_AFTER_S
 
     def rhythm_ok(self) -> bool:
         """Whether messages come often and evenly enough."""

@@ -193,7 +193,15 @@ def test_an_unknown_autopilot_is_aided_as_it_is_set_and_stops_where_nothing_is()
 
 
 def test_a_vehicle_that_is_streamed_on_standby_may_arm():
-    assert not said(replace(GOOD, armed=False), Setup(aiding=AidingSettings(standby=True)))
+    setup = Setup(aiding=AidingSettings(standby=True))
+    assert not said(replace(GOOD, armed=False), setup)
+    told = [finding.text for finding in of_vehicle(replace(GOOD, armed=False), setup, FLEET)]
+    assert any('it arms 10 to 30 s after the stream began; before, it says "GPS 2: not healthy"' in text for text in told)
+
+
+def test_the_remedy_of_a_vehicle_that_does_not_arm_says_how_long_standby_takes():
+    [finding] = said(replace(GOOD, armed=False))
+    assert "with which it arms 10 to 30 s after the stream began" in finding.remedy
 
 
 def test_a_vehicle_that_only_helps_is_not_held_to_what_the_located_ones_need():

@@ -45,7 +45,18 @@ def test_a_second_receiver_that_nobody_feeds_forbids_arming():
 
 def test_a_stream_that_is_steady_and_near_the_first_receiver_allows_arming():
     fleet = standing()
-    aid(fleet, 1, 2.0, 6.0)
+    aid(fleet, 1, 2.0, 12.5)
+    assert answer(fleet, ARM) == ([mavlink.MAV_RESULT_ACCEPTED], "")
+
+
+def test_a_stream_that_has_just_begun_or_begun_again_does_not_allow_arming_for_ten_seconds():
+    fleet, refused = standing(), ([mavlink.MAV_RESULT_FAILED], "Arm: GPS 2: not healthy")
+    aid(fleet, 1, 2.0, 11.8)
+    assert answer(fleet, ARM) == refused
+    fleet.advance(20.0)
+    aid(fleet, 1, 20.0, 29.8)
+    assert answer(fleet, ARM) == refused
+    aid(fleet, 1, fleet.now_s, 30.5)
     assert answer(fleet, ARM) == ([mavlink.MAV_RESULT_ACCEPTED], "")
 
 
@@ -55,7 +66,7 @@ def test_a_stream_that_is_steady_and_near_the_first_receiver_allows_arming():
 )
 def test_a_stream_too_seldom_or_too_far_off_forbids_arming(interval_s, shift_east_m, words):
     fleet = standing()
-    aid(fleet, 1, 2.0, 6.0, interval_s, shift_east_m=shift_east_m)
+    aid(fleet, 1, 2.0, 14.0, interval_s, shift_east_m=shift_east_m)
     results, text = answer(fleet, ARM)
     assert results == [mavlink.MAV_RESULT_FAILED if words else mavlink.MAV_RESULT_ACCEPTED]
     assert text.startswith(words)
