@@ -32,6 +32,7 @@ class Figures:
     """The figures of one flight; lengths in m, times in s, None where the flight has no such thing."""
 
     flight: str
+    ekf_median_m: float | None = None
     ekf_rmse_m: float | None = None
     ekf_largest_m: float | None = None
     ekf_first_15_s_m: float | None = None
@@ -46,10 +47,14 @@ class Figures:
     beyond_3_bounds: int | None = None
     most_of_hpl: float | None = None
     """The largest error over its horizontal protection level, from the fault on: above 1 the level was not kept."""
+    altitude_beyond_2_sigmas: float | None = None
+    """The share of what was sent whose altitude is off by more than twice the vertical accuracy that was stated with it."""
     altitude_sd_with_gps_m: float | None = None
     altitude_sd_aided_m: float | None = None
     named_after_s: float | None = None
     switched_after_s: float | None = None
+    healthy_after_end_s: float | None = None
+    """From the end of the fault until the denied vehicle was healthy for good."""
     suspects: list[str] = field(default_factory=list)
     longest_silence_s: float | None = None
     log_lines: int | None = None
@@ -62,19 +67,19 @@ class Figures:
             return "-" if value is None else f"{value:.2f}" if isinstance(value, float) else str(value)
 
         numbers = [
-            self.ekf_rmse_m, self.ekf_largest_m, self.ekf_first_15_s_m, self.ekf_stated_ratio,
+            self.ekf_median_m, self.ekf_rmse_m, self.ekf_largest_m, self.ekf_first_15_s_m, self.ekf_stated_ratio,
             self.our_rmse_m, self.our_largest_m, self.stated_ratio, self.bound_covers,
-            self.beyond_3_bounds, self.most_of_hpl, self.altitude_sd_with_gps_m, self.altitude_sd_aided_m, self.named_after_s,
-            self.switched_after_s,
+            self.beyond_3_bounds, self.most_of_hpl, self.altitude_beyond_2_sigmas, self.altitude_sd_with_gps_m,
+            self.altitude_sd_aided_m, self.named_after_s, self.switched_after_s, self.healthy_after_end_s,
         ]  # fmt: skip
         rest = [", ".join(self.suspects) or "none", cell(self.longest_silence_s), cell(self.log_lines), "; ".join(self.notes)]
         return "| " + " | ".join([self.flight, *map(cell, numbers), *rest]) + " |"
 
 
 HEADER = (
-    "| flight | EKF rmse | most | first 15 s | EKF error/stated | ours rmse | most | error/stated | bound covers |"
-    " beyond 3 bounds | error/HPL, most | alt sd GPS | alt sd aided | named | switched |"
-    " sound suspects | no aid | log lines | notes |\n|" + "---|" * 19
+    "| flight | EKF median | rmse | most | first 15 s | EKF error/stated | ours rmse | most | error/stated | bound covers |"
+    " beyond 3 bounds | error/HPL, most | alt beyond 2 sigmas | alt sd GPS | alt sd aided | named | switched | healthy again |"
+    " sound suspects | no aid | log lines | notes |\n|" + "---|" * 22
 )
 
 
@@ -112,10 +117,11 @@ class Truth:
 
 @dataclass(frozen=True)
 class Sent:
-    """A fix as the service sent it: its time of sending, position, stated standard deviation (m), fix type."""
+    """A fix as the service sent it: its time of sending, position, stated standard deviations (m), fix type."""
 
     place: Place3D
     accuracy_m: float
+    vertical_accuracy_m: float
     fix_type: int
 
 
@@ -128,6 +134,30 @@ def errors_m(places: Sequence[Place3D], truth: Truth, begins_s: float, ends_s: f
 def rms(values: Sequence[float]) -> float | None:
     """Root mean square, None of nothing."""
     return float(np.sqrt(np.mean(np.square(values)))) if values else None
+
+
+def median(values: Sequence[float]) -> float | None:
+    """Median, None of nothing."""
+    return float(np.median(values)) if values else None
+
+
+def altitude_beyond_2_sigmas(fixes: Sequence[Sent], truth: Truth, age_s: float) -> float | None:
+    """Share of fixes whose altitude of `age_s` before is off by more than two of their vertical accuracies; None of none."""
+    beyond = [
+        abs(true.alt_m - f.place.alt_m) > 2.0 * f.vertical_accuracy_m
+        for f in fixes
+        if (true := truth.at(f.place.unix_s - age_s)) is not None
+    ]
+    return sum(beyond) / len(beyond) if beyond else None
+
+
+def healthy_after_s(states: Sequence[tuple[float, int, str]], sysid: int, ends_s: float) -> float | None:
+    """How long after a time a vehicle became healthy and stayed so; None where it did not, or was all the time.
+
+    `states` are changes: UNIX time, system id, GPS state.
+    """
+    changes = [(at_s, state) for at_s, n, state in states if n == sysid and at_s >= ends_s]
+    return changes[-1][0] - ends_s if changes and changes[-1][1] == "healthy" else None
 
 
 def altitude_sd_m(truth: Truth, begins_s: float, ends_s: float) -> float | None:
@@ -148,10 +178,10 @@ def sent_fixes(recording: Path, target: int | None = None) -> list[Sent]:
         kind = message.get_type()
         if kind == "GPS_INPUT":
             place = Place3D(unix_s, message.lat * _FROM_POSITION, message.lon * _FROM_POSITION, message.alt)
-            out.append(Sent(place, message.horiz_accuracy, message.fix_type))
+            out.append(Sent(place, message.horiz_accuracy, message.vert_accuracy, message.fix_type))
         elif kind == "GLOBAL_POSITION_SENSOR" and target in (None, message.target_system):
             place = Place3D(unix_s, message.lat * _FROM_POSITION, message.lon * _FROM_POSITION, message.alt)
-            out.append(Sent(place, message.eph, 3))
+            out.append(Sent(place, message.eph, message.epv, 3))
     return out
 
 
@@ -187,7 +217,7 @@ def judge(ship: FourShip, denied: int, age_s: float, name: str) -> Figures:
     begins_s, ends_s = ship.begins_s, ship.ends_s
     out = Figures(name)
     believed = errors_m(pilot.believed, truth, begins_s + SETTLED_S, ends_s)
-    out.ekf_rmse_m, out.ekf_largest_m = rms(believed), max(believed, default=None)
+    out.ekf_median_m, out.ekf_rmse_m, out.ekf_largest_m = median(believed), rms(believed), max(believed, default=None)
     out.ekf_first_15_s_m = max(errors_m(pilot.believed, truth, begins_s, begins_s + SETTLED_S), default=None)
     out.ekf_stated_ratio = rms(_over_stated(pilot, truth, begins_s + SETTLED_S, ends_s))
     out.altitude_sd_with_gps_m = altitude_sd_m(truth, begins_s - case.before_s, begins_s)
@@ -201,6 +231,8 @@ def judge(ship: FourShip, denied: int, age_s: float, name: str) -> Figures:
         _judge_bounds(out, [f for f in bounded if f.place.unix_s >= begins_s], truth, begins_s + SETTLED_S, age_s)
         since = [(at, n, state) for at, n, state in ship.service.states if at >= begins_s]
         out.named_after_s = next((at - begins_s for at, n, state in since if n == denied and state == "failed"), None)
+        if case.end is not None:
+            out.healthy_after_end_s = healthy_after_s(since, denied, ends_s)
         suspected_after_s = {
             n: at - begins_s for at, n, state in reversed(since) if n in sound and state in ("suspect", "failed")
         }
@@ -233,6 +265,7 @@ def _judge_sent(
     ]
     out.our_rmse_m, out.our_largest_m = rms([e for e, _ in pairs]), max((e for e, _ in pairs), default=None)
     out.stated_ratio = rms([e / s for e, s in pairs])
+    out.altitude_beyond_2_sigmas = altitude_beyond_2_sigmas(good, truth, age_s)
     # A service that is killed was sending until then: what it had not written yet is lost from its recording, not from the air.
     sent_s = [*(f.place.unix_s for f in fixes if f.fix_type >= 3), *killed_s]
     times = sorted(t for t in sent_s if begins_s <= t < ends_s)

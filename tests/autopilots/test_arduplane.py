@@ -27,6 +27,7 @@ def test_loss(flown):
         ours=(f.our_rmse_m, 0.9),
         beyond_3_bounds=(f.beyond_3_bounds, 0),
         altitude_sd=(f.altitude_sd_aided_m, 1.3 * f.altitude_sd_with_gps_m),
+        altitude_beyond_2_sigmas=(f.altitude_beyond_2_sigmas, 0.10),
     )
     at_least(bound_covers=(f.bound_covers, LEAST_COVERED))
 
@@ -67,7 +68,11 @@ def test_spoof_by_a_step(flown):
     case = Case("spoof 200 m", begin=step_of_200_m, duration_s=110.0, end=restore, after_s=45.0)
     _, [f] = flown(case)
     assert f.suspects == []
-    at_most(named=(f.named_after_s, 5.0), beyond_3_bounds=(f.beyond_3_bounds, 0))
+    at_most(
+        named=(f.named_after_s, 5.0),
+        beyond_3_bounds=(f.beyond_3_bounds, 0),
+        healthy_after_end=(f.healthy_after_end_s, 15.0),
+    )
 
 
 def test_spoof_by_a_ramp(flown):

@@ -26,7 +26,7 @@ def test_loss(flown):
     assert [(n, state) for n, state in before if state != "healthy"] == []
     assert stays_in_its_orbit(ship)
     at_most(
-        ekf_rmse=(f.ekf_rmse_m, 1.2),
+        ekf_median=(f.ekf_median_m, 1.0),
         ekf_largest=(f.ekf_largest_m, 2.5),
         ekf_over_stated=(f.ekf_stated_ratio, 1.3),
         beyond_3_bounds=(f.beyond_3_bounds, 0),
@@ -57,7 +57,7 @@ def test_loss_by_vision_position(flown):
     case = Case("loss, vision position", begin=lose_gps, duration_s=120.0, configuration=DIRECT, parameters=VISION)
     ship, [f] = flown(case)
     assert stays_in_its_orbit(ship)
-    at_most(ekf_rmse=(f.ekf_rmse_m, 1.8))
+    at_most(ekf_median=(f.ekf_median_m, 1.5))
 
 
 def test_loss_by_ranging_beacon(flown):
