@@ -36,6 +36,7 @@ def _auxiliary_position(vehicle: VehicleSurvey) -> Iterator[Finding]:
     """Judge the slots of EKF2's auxiliary global position: one is to have our id and be on, read at its start alone."""
     told = vehicle.parameters
     ids = {slot: told[name] for slot in AGP_SLOTS if (name := AGP_ID.format(slot)) in told}
+    controls = {slot: int(told.get(AGP_CONTROL.format(slot), 0.0)) for slot in AGP_SLOTS}
     ours = [slot for slot, number in ids.items() if number == SENSOR_ID]
     if not ours:
         name = AGP_ID.format(0)
@@ -44,14 +45,14 @@ def _auxiliary_position(vehicle: VehicleSurvey) -> Iterator[Finding]:
             return
         off = "the slot is off" if told[name] == 0.0 else "it waits for another sensor id than ours"
         yield stop(f"{name} = {told[name]:g}: {off}", f"set {name} = {SENSOR_ID}{_REBOOT}", (name, float(SENSOR_ID)))
-    slot = ours[0] if ours else 0
+    # Of several with our id one that is on serves, as the service sees it.
+    slot = next((slot for slot in ours if controls[slot] & HORIZONTAL), ours[0] if ours else 0)
     yield from apply_rules(told, _slot_rules(slot))
     if ours:
         yield note(f"{AGP_ID.format(slot)} = {SENSOR_ID} counts from a start on: if it was set since the last one, reboot it")
     for other, number in ids.items():
-        control = told.get(AGP_CONTROL.format(other), 0.0)
-        if other != slot and number != 0.0 and int(control) & HORIZONTAL:
-            yield note(f"{AGP_CONTROL.format(other)} = {control:g}: it fuses the positions of sensor {number:g} as well")
+        if other != slot and number != 0.0 and controls[other] & HORIZONTAL:
+            yield note(f"{AGP_CONTROL.format(other)} = {controls[other]}: it fuses the positions of sensor {number:g} as well")
 
 
 def _slot_rules(slot: int) -> tuple[ParameterRule, ...]:

@@ -34,6 +34,17 @@ VISION = {"EKF2_EV_CTRL": 1.0, "EKF2_EV_NOISE_MD": 0.0, "EKF2_EV_DELAY": 0.0}
             [("EKF2_AGP1_CTRL", 1.0)],
             "positions of sensor 9 as well",
         ),
+        (PX4_SLOT | {"EKF2_AGP0_CTRL": 0.0, "EKF2_AGP1_ID": 1.0, "EKF2_AGP1_CTRL": 1.0}, [], "EKF2_AGP1_ID = 1 counts"),
+        (
+            PX4_SLOT | {"EKF2_AGP0_CTRL": 0.0, "EKF2_AGP1_ID": 1.0, "EKF2_AGP1_CTRL": 1.0, "EKF2_AGP1_DELAY": 300.0},
+            [("EKF2_AGP1_DELAY", 0.0)],
+            "0.3 s old",
+        ),
+        (
+            PX4_SLOT | {"EKF2_AGP0_CTRL": 0.0, "EKF2_AGP1_ID": 1.0, "EKF2_AGP1_CTRL": 0.0},
+            [("EKF2_AGP0_CTRL", 1.0)],
+            "does not take GLOBAL_POSITION_SENSOR",
+        ),
         ({"EKF2_AGP0_CTRL": 1.0}, [None], "EKF2_AGP0_ID could not be read"),
         (VISION | {"EKF2_AGP_CTRL": 1.0}, [], "receive no GLOBAL_POSITION_SENSOR"),
         ({"EKF2_AGP_CTRL": 1.0, "EKF2_EV_CTRL": 0.0}, [("EKF2_EV_CTRL", 1.0)], "does not take VISION_POSITION_ESTIMATE"),
