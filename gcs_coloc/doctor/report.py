@@ -8,6 +8,7 @@ from typing import Any
 from gcs_coloc.core.aiding.methods.registry import METHODS, method_for, mismatch
 from gcs_coloc.core.aiding.px4 import px4_method
 from gcs_coloc.core.aiding.settings import AidingMethodName
+from gcs_coloc.core.messages.control import ALL_WOULD_USE_IT, OWN_ADDRESS
 from gcs_coloc.core.messages.inbound import Autopilot
 from gcs_coloc.core.readiness.limiting_reason import LimitingReason
 from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
@@ -139,8 +140,8 @@ def _address(vehicle: VehicleSurvey, setup: Setup) -> Iterator[Finding]:
     elif vehicle.others_there:
         others = ", ".join(str(sysid) for sysid in vehicle.others_there)
         yield stop(
-            f"its address is also that of vehicle {others} (a router?), and GPS_INPUT has no target: all of them would take it",
-            "give each vehicle its own UDP stream to us, from its own port, or its own --link",
+            f"its address is also that of vehicle {others} (a router?), and {ALL_WOULD_USE_IT}",
+            OWN_ADDRESS,
         )
     elif not vehicle.is_claimed_twice:
         yield right(f"it has an address of its own: {', '.join(vehicle.addresses)}")

@@ -88,6 +88,15 @@ class RouteBlock(StrEnum):
     """Several vehicles are heard from its address: only what its target alone heeds is sent, and GPS_INPUT has no target."""
 
 
+ALL_WOULD_USE_IT = "GPS_INPUT has no target field, nor does PX4 heed a position's: all of them would use it"
+"""Why a position goes to no address that vehicles share, in words for the operator."""
+OWN_ADDRESS = (
+    "give each vehicle its own UDP stream to us, from its own port, or its own --link; an ArduPilot can be aided there by "
+    "external_position, whose commands their target alone heeds"
+)
+"""The remedy."""
+
+
 @dataclass(frozen=True, slots=True)
 class RouteReport:
     """What the link layer knows about reaching a vehicle: `blocked` says why nothing may be sent to it, or is None.
@@ -106,11 +115,7 @@ class RouteReport:
         if self.blocked is not RouteBlock.SHARED_ADDRESS:
             return NO_HEARTBEAT_YET if self.blocked is RouteBlock.NO_HEARTBEAT else None
         sharing = f"vehicles {', '.join(map(str, self.shared_with))} and {self.sysid}" if self.shared_with else "several vehicles"
-        return (
-            f"{sharing} are heard from one address (a router?), and GPS_INPUT has no target field, nor does PX4 heed "
-            "a position's: all of them would use it. Give each vehicle its own UDP stream to us, from its own port, or its own "
-            "--link; an ArduPilot can be aided there by external_position, whose commands their target alone heeds"
-        )
+        return f"{sharing} are heard from one address (a router?), and {ALL_WOULD_USE_IT}; {OWN_ADDRESS}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ import pytest
 from vehicle_surveys import FLEET, GOOD, PARAMETERS, PX4_SLOT, RECEIVER, WANTED_HZ, said, with_parameters
 
 from gcs_coloc.core.aiding.settings import AidingSettings
+from gcs_coloc.core.messages.control import RouteBlock, RouteReport
 from gcs_coloc.core.messages.inbound import Autopilot
 from gcs_coloc.doctor.finding import Setup, Severity
 from gcs_coloc.doctor.report import CLOCKS_AGREE_S, is_ready, of_vehicle
@@ -202,6 +203,18 @@ def test_a_vehicle_that_is_streamed_on_standby_may_arm():
 def test_the_remedy_of_a_vehicle_that_does_not_arm_says_how_long_standby_takes():
     [finding] = said(replace(GOOD, armed=False))
     assert "with which it arms 10 to 30 s after the stream began" in finding.remedy
+
+
+@pytest.mark.parametrize("autopilot", [Autopilot.ARDUPILOT, Autopilot.PX4])
+def test_of_a_shared_address_doctor_and_service_say_the_same(autopilot):
+    parameters = PX4_SLOT if autopilot is Autopilot.PX4 else GOOD.parameters
+    findings = said(replace(GOOD, autopilot=autopilot, parameters=parameters, others_there=(1, 2)))
+    [finding] = [finding for finding in findings if "a router?" in finding.text]
+    assert "nor does PX4 heed a position's: all of them would use it" in finding.text
+    assert "an ArduPilot can be aided there by external_position" in finding.remedy
+    wording = RouteReport(4, 0.0, RouteBlock.SHARED_ADDRESS, (1, 2)).wording
+    assert wording is not None
+    assert wording.endswith(f"{finding.text.partition('(a router?)')[2]}; {finding.remedy}")
 
 
 def test_a_vehicle_that_only_helps_is_not_held_to_what_the_located_ones_need():
