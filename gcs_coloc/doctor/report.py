@@ -90,7 +90,6 @@ LEAST_PEERS = 3  # Source: Qu and Zhang, section III: trilateration needs three
 CLOCKS_AGREE_S = 2.0  # chosen: beyond it the times of two logs cannot be put side by side by eye
 OFTEN = 20  # chosen: within 15 s more than once a second: no accident
 MUCH_BYTES = 200  # chosen: more than the rest of a frame that was cut off when listening began
-_GPS_FIX_3D = 3  # source: GPS_FIX_TYPE of MAVLink
 
 _BETTER_PLACED = "see that in flight its peers stand around it: gcs-coloc plan tells where; or set up a station"
 _HARMFUL = {
@@ -235,7 +234,7 @@ def _receiver(vehicle: VehicleSurvey) -> Iterator[Finding]:
     if receiver is None:
         return
     satellites = f", {receiver.satellites} satellites" if receiver.satellites is not None else ""
-    if receiver.fix_type >= _GPS_FIX_3D:
+    if receiver.fix_type >= stream_checks.FIX_3D:
         yield right(f"its GPS has a fix (type {receiver.fix_type}{satellites})")
     else:
         yield note(f"its GPS has no 3D fix now (fix type {receiver.fix_type}{satellites})")

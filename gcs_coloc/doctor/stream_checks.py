@@ -26,6 +26,8 @@ _RATES_OF = {
 _RATE_HZ = {
     rate: max(hz for stream, hz in wanted_hz(Autopilot.ARDUPILOT).items() if _RATES_OF.get(stream) == rate) for rate in STREAMS
 }
+FIX_3D = 3
+"""Source: GPS_FIX_TYPE of MAVLink."""
 _ESSENTIAL = (Stream.POSITION, Stream.FIRST_RECEIVER)
 _NO_POSITION = {
     Autopilot.ARDUPILOT: "; if its receiver has a fix, EK3_GPS_CHECK may refuse the accuracy",
@@ -64,11 +66,22 @@ def check(vehicle: VehicleSurvey) -> Iterator[Finding]:
                 f"{name} holds no position: the autopilot has none yet",
                 f"wait for its EKF{_NO_POSITION.get(vehicle.autopilot, '')}",
             )
+        elif stream is Stream.POSITION and _has_no_fix_yet(vehicle):
+            yield lacking(
+                f"{name} is not heard: a PX4 sends none before the first fix of its receiver, which has none now",
+                "wait for its first fix, with its receiver's antenna in the open",
+            )
         else:
             yield lacking(f"{name} is not heard", *_remedy(vehicle, rate))
     if good:
         yield right(f"heard: {', '.join(good)}")
     yield from _protocol(vehicle)
+
+
+def _has_no_fix_yet(vehicle: VehicleSurvey) -> bool:
+    """Whether a PX4's receiver is heard and has no fix."""
+    is_px4 = vehicle.autopilot is Autopilot.PX4
+    return is_px4 and vehicle.receiver is not None and vehicle.receiver.fix_type < FIX_3D
 
 
 def _has_no_second_receiver(vehicle: VehicleSurvey) -> bool:

@@ -41,6 +41,19 @@ def test_a_px4_that_loses_its_gps_flies_on_global_position_sensor():
     assert not out.fix_types(DENIED, 0.0)
 
 
+def test_a_px4_that_has_never_had_gps_is_located_by_ranges_and_its_barometer_and_flies_on_that():
+    """It reports no position of its own, so no height, until it is aided."""
+    out = fly_through(fault("gps_lost", at_s=0.0), duration_s=40.0, autopilot="px4")
+    began = [s for s in out.flight.samples[DENIED] if s.at_s <= 1.0]
+    assert {s.truth.source for s in began} == {"none"}
+    flown = [s for s in out.flight.samples[DENIED] if s.at_s > 10.0]
+    assert all(s.error_enu_m is not None for s in flown)
+    assert {s.truth.source for s in flown} == {"aux global position"}
+    assert max(np.hypot(*s.error_enu_m[:2]) for s in flown) < SOUND_M
+    assert out.worst_belief_m(DENIED, 10.0) < 1.5 * SOUND_M
+    assert out.distrusted(0.0) == {DENIED}
+
+
 def test_a_px4_without_an_auxiliary_position_flies_on_vision_position_estimate():
     """As PX4 1.14 to 1.17, which have no other way in."""
     out = fly_through(LOST, duration_s=60.0, autopilot="px4", params={"EKF2_AGP0_CTRL": 0.0, "EKF2_EV_CTRL": 1.0})

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
+from vehicle_surveys import RECEIVER
 
 from gcs_coloc.core.messages.inbound import Autopilot
 from gcs_coloc.core.telemetry.stream_requests import wanted_hz
@@ -121,3 +124,19 @@ def test_where_the_autopilot_has_no_position_its_own_parameters_are_named(autopi
 def test_a_receiver_that_is_switched_off_is_not_missed_on_the_link(parameters, notes):
     without = {number: hz for number, hz in WANTED_HZ.items() if number != 124}
     assert len(said(Autopilot.ARDUPILOT, parameters, without)) == notes
+
+
+def test_a_px4_that_has_had_no_fix_is_told_to_wait_for_one_and_its_link_is_not_blamed():
+    silent = {number: hz for number, hz in WANTED_HZ.items() if number != 33}
+    (cold,) = said(Autopilot.PX4, {}, silent, receiver=replace(RECEIVER, fix_type=1))
+    assert cold.severity is Severity.STOP
+    assert "a PX4 sends none before the first fix of its receiver, which has none now" in cold.text
+    assert cold.remedy.startswith("wait for its first fix")
+    for autopilot, receiver in (
+        (Autopilot.PX4, RECEIVER),
+        (Autopilot.PX4, None),
+        (Autopilot.ARDUPILOT, replace(RECEIVER, fix_type=1)),
+    ):
+        (linked,) = said(autopilot, {}, silent, receiver=receiver)
+        assert linked.text == "GLOBAL_POSITION_INT is not heard"
+        assert "link" in linked.remedy
