@@ -18,6 +18,7 @@ COMPANION = 191
 """MAV_COMP_ID_ONBOARD_COMPUTER: who reports ranges."""
 
 # What the guide asks for, and what a driver needs: any mission may be flown without a pilot's transmitter.
+# EK3_SRC1_VELZ is not set to 0: at its default of 3 the altitude swings if what is sent has a vertical velocity.
 GUIDE: Mapping[str, float] = {
     "GPS1_TYPE": 1,
     "GPS2_TYPE": 14,
