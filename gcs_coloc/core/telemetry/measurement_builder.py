@@ -7,8 +7,6 @@ altitude, the attitude and the airspeed are evidence.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
-from math import hypot
 from typing import NamedTuple
 
 from gcs_coloc.core.clocks.fleet_clocks import FleetClocks
@@ -19,8 +17,7 @@ from gcs_coloc.core.reasons import CoreRefusal
 from gcs_coloc.core.stations.stations import Station
 from gcs_coloc.core.telemetry.altitude_builder import AltitudeBuilder, SentFix
 from gcs_coloc.core.telemetry.measurement_settings import MeasurementSettings
-from gcs_coloc.core.telemetry.position_jumps import PositionJumps
-from gcs_coloc.core.telemetry.position_measurements import measure_position, receiver_accuracy
+from gcs_coloc.core.telemetry.position_builder import PositionBuilder
 from gcs_coloc.core.telemetry.range_builder import BuiltRange, RangeBuilder
 from gcs_coloc.core.telemetry.reported_state import ReportedState, true_airspeed_mps
 
@@ -46,11 +43,11 @@ class MeasurementBuilder:
         self.frame: LocalFrame | None = None
         self.refused: Counter[CoreRefusal] = Counter()
         self._clocks = clocks
+        self._positions = PositionBuilder(settings)
         self._altitudes = AltitudeBuilder()
         self._ranges = RangeBuilder(settings)
         self._reported: dict[int, PositionMeasurement] = {}
         self._attitude_at_s: dict[int, float] = {}
-        self._jumps: dict[int, PositionJumps] = {}
         self._receiver_fixes: dict[int, PositionMeasurement] = {}
 
     def set_origin(self, station: Station) -> None:
@@ -78,13 +75,7 @@ class MeasurementBuilder:
             self.frame = LocalFrame(message.lat_deg, message.lon_deg, message.alt_msl_m)
         if self.frame is None:
             return None
-        ned_mps = (message.vn_mps, message.ve_mps, message.vd_mps)
-        accuracy = receiver_accuracy(vehicle.receiver, self.settings)
-        reported = measure_position(message, ned_mps, accuracy, measured, self.frame)
-        jumps = self._jumps.setdefault(message.sysid, PositionJumps())
-        jump_m = jumps.sigma_m(reported, is_trusted=is_trusted)
-        if jump_m:
-            reported = replace(reported, sigma_h_m=hypot(reported.sigma_h_m, jump_m))
+        reported = self._positions.build(message, vehicle.receiver, measured, self.frame, is_trusted=is_trusted)
         self._reported[message.sysid] = reported
         if is_trusted:
             self._altitudes.add_trusted_position(message, reported)
@@ -156,12 +147,8 @@ class MeasurementBuilder:
         if is_trusted or self.frame is None or message.fix_type < _FIX_3D:
             self._receiver_fixes.pop(message.sysid, None)
             return
-        # The velocity is the autopilot's. What the unknown age of the fix means at that speed is in `sigma_h_m`.
-        at = vehicle.position
-        ned_mps = (at.vn_mps, at.ve_mps, at.vd_mps) if at is not None else (0.0, 0.0, 0.0)
-        accuracy = receiver_accuracy(message, self.settings)
         measured = self._clocks.fix_time(message)
-        self._receiver_fixes[message.sysid] = measure_position(message, ned_mps, accuracy, measured, self.frame)
+        self._receiver_fixes[message.sysid] = self._positions.build_fix(message, vehicle.position, measured, self.frame)
 
     def reported(self, sysid: int) -> PositionMeasurement | None:
         """Return the newest position that a vehicle reported of itself, believed or not."""

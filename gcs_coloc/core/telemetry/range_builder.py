@@ -18,7 +18,7 @@ from gcs_coloc.core.stations.node_id import node_name
 from gcs_coloc.core.stations.stations import Station
 from gcs_coloc.core.telemetry.measurement_settings import MeasurementSettings
 from gcs_coloc.core.telemetry.nlos_detector import NlosDetector
-from gcs_coloc.core.telemetry.position_measurements import receiver_accuracy
+from gcs_coloc.core.telemetry.position_builder import receiver_accuracy
 from gcs_coloc.core.telemetry.repeated_ranges import RangeRepeats
 from gcs_coloc.core.telemetry.reported_state import ReportedState
 

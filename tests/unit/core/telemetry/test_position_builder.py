@@ -10,7 +10,7 @@ import pytest
 from built_measurements import Builder, gps, position, vehicle
 
 from gcs_coloc.core.measurements import PositionMeasurement
-from gcs_coloc.core.telemetry.position_jumps import PositionJumps
+from gcs_coloc.core.telemetry.position_builder import PositionJumps
 
 SPEED_MPS = 21.0
 STATED_M = 0.5
