@@ -10,8 +10,7 @@ from gcs_coloc.core.aiding.aiding import Aiding
 from gcs_coloc.core.aiding.vetted_ranges import VettedRanges
 from gcs_coloc.core.clocks.fleet_clocks import FleetClocks
 from gcs_coloc.core.estimator import GuardedEstimator
-from gcs_coloc.core.gps_health.fleet_gps_health import FleetGpsHealth
-from gcs_coloc.core.gps_health.gps_health import GpsState
+from gcs_coloc.core.gps_health.gps_health import FleetGpsHealth, GpsState
 from gcs_coloc.core.integrity.monitor import IntegrityMonitor
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
@@ -133,7 +132,7 @@ class MessageDispatch:
         )
         if built is None:
             return
-        self._stages.gps_health.add_position(built.reported, own=not last.is_aided)
+        self._stages.gps_health[message.sysid].add_position(built.reported, own=not last.is_aided)
         if last.is_witness:
             self._stages.integrity.add_position(built.reported)
         self._add_measurement(built.measurement)
@@ -187,13 +186,13 @@ class MessageDispatch:
 
     def _believed(self, sysid: int) -> PositionMeasurement | None:
         """Return the position that a vehicle reports while its GPS is healthy."""
-        is_healthy = self._stages.gps_health.state(sysid) is GpsState.HEALTHY
+        is_healthy = self._stages.gps_health[sysid].state is GpsState.HEALTHY
         return self._stages.measurements.reported(sysid) if is_healthy else None
 
     def _add_receiver(self, message: GpsReceiver, vehicle: ReportedState, last: LastRound) -> None:
         if message.receiver == self._stages.telemetry.own_receiver:
             self._stages.stations.add_receiver(message)
             self._stages.measurements.add_receiver(message, vehicle, is_trusted=last.is_trusted)
-            self._stages.gps_health.add_receiver(message, vehicle.position)
+            self._stages.gps_health[message.sysid].add_receiver(message, vehicle.position)
         else:
             self._stages.aiding.add_fed_receiver(message)

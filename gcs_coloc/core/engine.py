@@ -21,8 +21,7 @@ from gcs_coloc.core.dispatch import MessageDispatch, Stages
 from gcs_coloc.core.estimator import Estimator, GuardedEstimator
 from gcs_coloc.core.fleet_review import FleetReview
 from gcs_coloc.core.geodesy import LocalFrame
-from gcs_coloc.core.gps_health.fleet_gps_health import FleetGpsHealth
-from gcs_coloc.core.gps_health.gps_health import GpsHealthSettings, GpsState
+from gcs_coloc.core.gps_health.gps_health import FleetGpsHealth, GpsHealthSettings, GpsState
 from gcs_coloc.core.integrity.monitor import IntegrityMonitor
 from gcs_coloc.core.integrity.protection_level import ProtectionSettings
 from gcs_coloc.core.measurements import Estimate, NoEstimate
@@ -213,7 +212,7 @@ class Engine:
 
     def gps_state(self, sysid: int) -> GpsState:
         """Return the state of a vehicle's GPS health; UNKNOWN for a vehicle that was never heard."""
-        return self.gps_health.state(sysid)
+        return self.gps_health[sysid].state
 
     def decision(self, sysid: int) -> AidingDecision:
         """Return what aiding decided last about a vehicle."""
@@ -237,7 +236,7 @@ class Engine:
                 review.estimate(vehicle.sysid, now_s),
                 frame,
                 name=self.settings.names.get(vehicle.sysid, ""),
-                gps_health=self.gps_health,
+                gps_health=self.gps_health[vehicle.sysid],
                 gps_override=review.gps_override(vehicle.sysid),
                 override_sources=self._overrides.sources(vehicle.sysid),
                 aiding=review.aiding_view(vehicle),
@@ -296,7 +295,7 @@ class Engine:
 
     def _utc_minus_service_s(self) -> float | None:
         return self.clocks.utc_minus_service_s(
-            vehicle.sysid for vehicle in self.telemetry if self.gps_health.state(vehicle.sysid) is GpsState.HEALTHY
+            vehicle.sysid for vehicle in self.telemetry if self.gps_health[vehicle.sysid].state is GpsState.HEALTHY
         )
 
     def _control(self, message: ControlInput) -> None:

@@ -14,7 +14,7 @@ from gcs_coloc.core.integrity.protection_level import Exposure, ProtectionSettin
 from gcs_coloc.core.integrity.report import IntegrityReport, ReacquisitionStatus, ReviewedVehicle
 from gcs_coloc.core.measurements import Estimate, NoEstimate, PositionMeasurement, Residual
 from gcs_coloc.core.messages.control import GpsOverride
-from gcs_coloc.core.messages.outbound import Notice, Outbound
+from gcs_coloc.core.messages.outbound import HealthChanged, Notice, Outbound
 from gcs_coloc.core.readiness.readiness_review import ReadinessReview
 from gcs_coloc.core.residual_log import RangeJumps, ResidualLog
 from gcs_coloc.core.station_review import StationReview
@@ -94,7 +94,7 @@ class FleetReview:
     def last_round(self, sysid: int) -> LastRound:
         """Return what the later stages found of a vehicle last."""
         return LastRound(
-            self._stages.gps_health.state(sysid),
+            self._stages.gps_health[sysid].state,
             is_trusted=self._is_trusted(sysid),
             is_witness=sysid in self._witnesses,
             is_aided=self.decision(sysid).is_aided,
@@ -158,8 +158,11 @@ class FleetReview:
         """Run the stages from GPS health on for one vehicle; return what is to be sent and shown."""
         sysid = vehicle.sysid
         notice = self._stages.clocks.review_duplicate_id(sysid, now_s)
-        change = self._stages.gps_health.update(sysid, self._gps_evidence(vehicle), now_s)
-        out: list[Outbound] = [event for event in (notice, change) if event is not None]
+        out: list[Outbound] = [notice] if notice is not None else []
+        health = self._stages.gps_health[sysid]
+        before = health.state
+        if health.update(self._gps_evidence(vehicle), now_s):
+            out.append(HealthChanged(now_s, sysid, before.value, health.state.value, health.reason.text))
         out += self.decide_aiding(vehicle, now_s)
         self._update_denied(sysid, now_s)
         return out
@@ -169,17 +172,17 @@ class FleetReview:
         sysid, s = vehicle.sysid, self._stages
         decision = self._decisions[sysid] = s.aiding.review(
             vehicle,
-            s.gps_health.state(sysid),
+            s.gps_health[sysid].state,
             now_s,
             has_duplicate_id=s.clocks.has_duplicate_id(sysid),
-            reports_false_fix=s.gps_health.reports_false_fix(sysid),
+            reports_false_fix=s.gps_health[sysid].reports_false_fix,
         )
         return decision.outputs
 
     def aiding_view(self, vehicle: ReportedState) -> AidingView:
         """Return the aiding of one vehicle as observers see it."""
         sysid, s = vehicle.sysid, self._stages
-        return s.aiding.view(vehicle, s.gps_health.state(sysid), has_duplicate_id=s.clocks.has_duplicate_id(sysid))
+        return s.aiding.view(vehicle, s.gps_health[sysid].state, has_duplicate_id=s.clocks.has_duplicate_id(sysid))
 
     def review_readiness(self, now_s: float) -> None:
         """Predict one healthy vehicle without GPS, where one is due. The estimator's residuals must have been drained."""
@@ -214,7 +217,7 @@ class FleetReview:
 
     def _reviewed(self, vehicle: ReportedState, now_s: float) -> ReviewedVehicle:
         sysid = vehicle.sysid
-        gps_state = self._stages.gps_health.state(sysid)
+        gps_state = self._stages.gps_health[sysid].state
         is_placed_by_ranges = gps_state in DISTRUSTED and sysid not in self._witnesses
         where = self._stages.estimator.estimate(sysid, now_s) if is_placed_by_ranges else None
         if where is not None:
@@ -225,8 +228,8 @@ class FleetReview:
             is_trusted=self._is_trusted(sysid),
             is_witness=sysid in self._witnesses,
             is_automatic=self.gps_override(sysid) is GpsOverride.AUTO,
-            is_doubtful=self._stages.gps_health.is_doubtful(sysid, now_s),
-            is_returning=self._stages.gps_health.is_returning(sysid),
+            is_doubtful=self._stages.gps_health[sysid].is_doubtful(now_s),
+            is_returning=self._stages.gps_health[sysid].is_returning,
             reported=self._stages.measurements.reported(sysid),
             receiver_fix=self._stages.measurements.receiver_fix(sysid),
             estimate=where if isinstance(where, Estimate) else None,
@@ -259,13 +262,13 @@ class FleetReview:
             for vehicle in self._stages.telemetry
             if now_s - vehicle.first_heard_s >= _WITNESS_AFTER_S
             and self._stages.proven.is_proven(vehicle.sysid)
-            and self._stages.gps_health.may_witness(vehicle.sysid)
+            and self._stages.gps_health[vehicle.sysid].may_witness
             and not self.decision(vehicle.sysid).is_aided
             and not self.decision(vehicle.sysid).is_self_fed
         )
 
     def _update_denied(self, sysid: int, now_s: float) -> None:
-        is_denied = self._stages.gps_health.state(sysid) in DISTRUSTED or self.decision(sysid).is_self_fed
+        is_denied = self._stages.gps_health[sysid].state in DISTRUSTED or self.decision(sysid).is_self_fed
         if is_denied == (sysid in self._denied):
             return
         self._denied = self._denied ^ {sysid}
@@ -280,5 +283,5 @@ class FleetReview:
 
     def _is_trusted(self, sysid: int) -> bool:
         """Return whether what a vehicle reports of its own position is evidence."""
-        is_healthy = self._stages.gps_health.state(sysid) is GpsState.HEALTHY
+        is_healthy = self._stages.gps_health[sysid].state is GpsState.HEALTHY
         return is_healthy and not self.decision(sysid).is_self_fed and self._stages.proven.is_proven(sysid)

@@ -9,7 +9,7 @@ from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.aiding.stream import AidingView
 from gcs_coloc.core.error_ellipse import horizontal_sigma_and_bound_95_m
 from gcs_coloc.core.geodesy import LocalFrame
-from gcs_coloc.core.gps_health.fleet_gps_health import FleetGpsHealth
+from gcs_coloc.core.gps_health.gps_health import GpsHealth
 from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel
 from gcs_coloc.core.measurements import Estimate, FloatArray, NoEstimate, Vector3
 from gcs_coloc.core.messages.control import GpsOverride
@@ -157,7 +157,7 @@ def vehicle_snapshot(
     frame: LocalFrame | None,
     *,
     name: str,
-    gps_health: FleetGpsHealth,
+    gps_health: GpsHealth,
     gps_override: GpsOverride,
     override_sources: OverrideSources,
     aiding: AidingView,
@@ -195,8 +195,8 @@ def vehicle_snapshot(
         name=name,
         age_s=now_s - vehicle.last_heard_s,
         autopilot=vehicle.autopilot.value if vehicle.autopilot is not None else "unknown",
-        gps_state=gps_health.state(vehicle.sysid).value,
-        gps_reason=gps_health.reason(vehicle.sysid),
+        gps_state=gps_health.state.value,
+        gps_reason=gps_health.reason.text,
         lat_deg=lat_deg,
         lon_deg=lon_deg,
         alt_msl_m=alt_msl_m,

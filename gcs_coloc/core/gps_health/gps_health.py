@@ -269,3 +269,19 @@ class GpsHealth:
             self._state, self._since_s = state, now_s
         self._reason = reason
         return changed
+
+
+class FleetGpsHealth(dict[int, GpsHealth]):
+    """The state machine of each vehicle of a fleet. That of a vehicle of which nothing was heard is UNKNOWN."""
+
+    def __init__(self, settings: GpsHealthSettings) -> None:
+        super().__init__()
+        self._settings = settings
+
+    def __missing__(self, sysid: int) -> GpsHealth:
+        health = self[sysid] = GpsHealth(self._settings)
+        return health
+
+    def reason(self, sysid: int) -> str:
+        """Return what speaks for the state of a vehicle, in words."""
+        return self[sysid].reason.text
