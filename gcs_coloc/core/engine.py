@@ -138,12 +138,13 @@ class Engine:
         if vehicle is None and (vehicle := self._add_vehicle(sysid, at_s)) is None:
             return
         self.proven.update(vehicle, at_s)
-        resets = self.clocks.resets(sysid)
+        clock = self.clocks.boot_clock(sysid)
+        resets = clock.resets
         needs_review = self.telemetry.update(message)
         self._outbox.extend(self._dispatch.add(message, vehicle, self._review.last_round))
         if needs_review:
             self._outbox.extend(self._review.review_vehicle(vehicle, at_s))
-        if self.clocks.resets(sysid) != resets and not self.clocks.has_duplicate_id(sysid):
+        if clock.resets != resets and not self.clocks.has_duplicate_id(sysid):
             self._streams.forget(sysid)
             self.aiding.forget_parameters(sysid)
             self._notify(at_s, sysid, "warning", "its clock jumped: taken as a reboot")
@@ -241,7 +242,7 @@ class Engine:
                 override_sources=self._overrides.sources(vehicle.sysid),
                 aiding=review.aiding_view(vehicle),
                 delay_s=self.measurements.delay_s(vehicle.sysid),
-                clock=self.clocks.quality(vehicle.sysid, now_s),
+                clock=self.clocks.boot_clock(vehicle.sysid).quality(now_s),
                 consistency=consistency.get(vehicle.sysid),
                 readiness=review.readiness.of(vehicle.sysid),
                 now_s=now_s,

@@ -104,18 +104,18 @@ class FleetReview:
 
     def fix_inputs(self, sysid: int, now_s: float) -> FixInputs:
         """Return what earlier stages know of a vehicle for its next fix."""
-        vehicle = self._stages.telemetry.get(sysid)
+        vehicle, clock = self._stages.telemetry.get(sysid), self._stages.clocks.boot_clock(sysid)
         return FixInputs(
             is_trusted=self._is_trusted(sysid),
             has_air_data=vehicle is not None and vehicle.has_air_data(now_s),
             is_aligned=vehicle is not None and vehicle.has_absolute_position(now_s),
-            one_way_delay_s=self._stages.clocks.one_way_delay_s(sysid, now_s),
+            one_way_delay_s=clock.one_way_delay_s(now_s),
             range_sigma_m=self._stages.measurements.range_sigma_m(sysid),
             median_nis=self._median_nis.get(sysid),
             range_jump_m=self._jumps_m.get(sysid),
             ranges=self._stages.vetted.take(sysid),
             locate_node=self.estimate,
-            boot_s=lambda at_s: self._stages.clocks.boot_s(sysid, at_s, now_s),
+            boot_s=lambda at_s: clock.from_service(at_s, now_s),
         )
 
     def estimate_to_send(self, sysid: int, at_s: float) -> Estimate | NoEstimate:

@@ -42,7 +42,7 @@ _REFUSALS = {
 
 @dataclass(slots=True)
 class _Clocks:
-    boot: VehicleClock = field(default_factory=VehicleClock)
+    boot: VehicleClock
     ranging: dict[tuple[TimeBase, int], SenderClock] = field(default_factory=dict)
     utc_minus_service_s: float | None = None
     unanswered_reported: set[str] = field(default_factory=set)
@@ -61,6 +61,10 @@ class FleetClocks:
         self._utc = Utc(required=self.settings.require_synchronised_clock)
         self._duplicate_ids: set[int] = set()
 
+    def boot_clock(self, sysid: int) -> VehicleClock:
+        """Return the boot clock of a vehicle's autopilot."""
+        return self._of(sysid).boot
+
     def set_host_clock(self, message: ClockReference) -> list[Notice]:
         """Set what the host says of its clock; return what a person should read."""
         self.host_lag_s = message.lag_s
@@ -77,21 +81,17 @@ class FleetClocks:
         if not clock.learn(message.boot_s, message.received_at_s):
             self.refused[jumped] += 1
             return None
-        return self._fresh(clock.to_service(message.boot_s, message.received_at_s, self.settings), message.received_at_s, too_old)
+        return self._fresh(clock.to_service(message.boot_s, message.received_at_s), message.received_at_s, too_old)
 
     def booted_at_s(self, message: GlobalPosition, measured: ServiceTime) -> float:
         """Return the service time at which an autopilot booted, from one of its stamps and when that was."""
         return measured.at_s - self._of(message.sysid).boot.stamps.unwrapped(message.boot_s)
 
-    def boot_s(self, sysid: int, at_s: float, now_s: float) -> float | None:
-        """Return a service time near the present on the boot clock of an autopilot; None where that is not known."""
-        return self._of(sysid).boot.from_service(at_s, now_s, self.settings)
-
     def fix_time(self, message: GpsReceiver) -> ServiceTime:
         """Return when the fix of a receiver was measured."""
         now_s, clock = message.received_at_s, self._of(message.sysid).boot
         if message.fixed_boot_s is not None and clock.stamps.known:
-            stamped = clock.to_service(message.fixed_boot_s, now_s, self.settings)
+            stamped = clock.to_service(message.fixed_boot_s, now_s)
             if 0.0 <= now_s + 3.0 * stamped.sigma_s - stamped.at_s <= _LONGEST_FIX_AGE_S:
                 return ServiceTime(stamped.at_s - _FIX_AGE_S, hypot(stamped.sigma_s, _FIX_AGE_SIGMA_S))
         return ServiceTime(now_s - _FIX_DELAY_S, _FIX_DELAY_SIGMA_S)
@@ -120,7 +120,7 @@ class FleetClocks:
         if not clock.learn(message.measured_at_s, now_s):
             self.refused[CoreRefusal.RANGE_CLOCK_JUMPED] += 1
             return None
-        measured = clocks.boot.device_to_service(clock, message.measured_at_s, now_s, self.settings)
+        measured = clocks.boot.device_to_service(clock, message.measured_at_s, now_s)
         return self._fresh(measured, now_s, CoreRefusal.RANGE_TOO_OLD)
 
     def add_system_time(self, message: SystemTime, *, gps_is_trusted: bool) -> None:
@@ -162,7 +162,7 @@ class FleetClocks:
         if clocks.boot.synchronised(now_s) is not None:
             clocks.unanswered_reported.clear()
             return None
-        one_way = clocks.boot.one_way(self.settings)
+        one_way = clocks.boot.one_way()
         if one_way.method in clocks.unanswered_reported:
             return None
         clocks.unanswered_reported.add(one_way.method)
@@ -174,10 +174,6 @@ class FleetClocks:
             "along its course unseen, 2 m for each 0.1 s at 20 m/s; set min_delay_s and min_delay_sigma_s where you know them"
         )
         return Notice(now_s, sysid, "warning", text)
-
-    def resets(self, sysid: int) -> int:
-        """Return how often the clock of a vehicle began anew, as a reboot makes it."""
-        return self._of(sysid).boot.resets
 
     def review_duplicate_id(self, sysid: int, now_s: float) -> Notice | None:
         """Review whether two autopilots use one system id; return what the operator must know where that has changed."""
@@ -194,23 +190,15 @@ class FleetClocks:
         """Return whether two autopilots used one system id at the last review."""
         return sysid in self._duplicate_ids
 
-    def one_way_delay_s(self, sysid: int, now_s: float) -> float | None:
-        """Return the least delay of the link to a vehicle, s; None where it is not known."""
-        return self._of(sysid).boot.one_way_delay_s(now_s)
-
-    def quality(self, sysid: int, now_s: float) -> tuple[str, float] | None:
-        """Return how the clock of a vehicle is known, and its 1-sigma in s; None before its first stamp."""
-        return self._of(sysid).boot.quality(now_s, self.settings)
-
     def knows_delay(self, sysid: int, now_s: float) -> bool:
         """Whether TIMESYNC, UTC or a setting shows how late a vehicle's link is; also where it has sent no stamp yet."""
-        quality = self.quality(sysid, now_s)
+        quality = self.boot_clock(sysid).quality(now_s)
         return quality is None or quality[0] != ONE_WAY or self.settings.min_delay_s > 0.0
 
     def _of(self, sysid: int) -> _Clocks:
         clocks = self._clocks.get(sysid)
         if clocks is None:
-            clocks = self._clocks[sysid] = _Clocks()
+            clocks = self._clocks[sysid] = _Clocks(VehicleClock(self.settings))
         return clocks
 
     def _fresh(self, measured: ServiceTime, received_at_s: float, too_old: CoreRefusal) -> ServiceTime | None:

@@ -120,6 +120,7 @@ class DuplicateIdDetector:
 class VehicleClock:
     """The boot clock of one autopilot, from its one-way stamps and from TIMESYNC."""
 
+    settings: TimeSettings = field(default_factory=TimeSettings)
     stamps: SenderClock = field(default_factory=SenderClock)
     round_trips: RoundTrips = field(default_factory=RoundTrips)
     duplicates: DuplicateIdDetector = field(default_factory=DuplicateIdDetector)
@@ -172,13 +173,13 @@ class VehicleClock:
         is_plausible = -3.0 * sigma_s <= behind_s - _UTC_BEHIND_S <= _MOST_BY_UTC_S
         self._by_utc = OneWay("UTC", max(behind_s - _UTC_BEHIND_S, 0.0), sigma_s) if is_plausible else None
 
-    def one_way(self, settings: TimeSettings) -> OneWay:
+    def one_way(self) -> OneWay:
         """What is held of the link's least delay where TIMESYNC is not answered."""
-        if settings.min_delay_s > 0.0:
-            return OneWay(ONE_WAY, settings.min_delay_s, settings.min_delay_sigma_s)
+        if self.settings.min_delay_s > 0.0:
+            return OneWay(ONE_WAY, self.settings.min_delay_s, self.settings.min_delay_sigma_s)
         if self._by_utc is not None:
             return self._by_utc
-        least_s = settings.min_delay_sigma_s
+        least_s = self.settings.min_delay_sigma_s
         sigma_s = hypot(least_s, _WAITS * self.stamps.mean_wait_s()) if self.stamps.known else least_s
         return OneWay(ONE_WAY, 0.0, min(sigma_s, max(_MOST_UNKNOWN_S, least_s)))
 
@@ -186,14 +187,14 @@ class VehicleClock:
         """What TIMESYNC says; None where it is not answered."""
         return self.round_trips.estimate(now_s)
 
-    def quality(self, now_s: float, settings: TimeSettings) -> tuple[str, float] | None:
+    def quality(self, now_s: float) -> tuple[str, float] | None:
         """How the clock is known, in a word, and its 1-sigma in seconds; None before its first stamp."""
         sync = self.synchronised(now_s)
         if sync is not None:
             return "TIMESYNC", sync.sigma_at_s(now_s)
         if not self.stamps.known:
             return None
-        one_way = self.one_way(settings)
+        one_way = self.one_way()
         return one_way.method, one_way.sigma_s
 
     def one_way_delay_s(self, now_s: float) -> float | None:
@@ -203,29 +204,29 @@ class VehicleClock:
             return sync.one_way_delay_s
         return self._by_utc.delay_s if self._by_utc is not None else None
 
-    def to_service(self, stamp_s: float, now_s: float, settings: TimeSettings) -> ServiceTime:
+    def to_service(self, stamp_s: float, now_s: float) -> ServiceTime:
         """A stamp on the service's clock. Only valid after `learn` has taken one."""
         sync = self.synchronised(now_s)
         if sync is not None:
             return ServiceTime(self.stamps.unwrapped(stamp_s) + sync.offset_at_s(now_s), sync.sigma_at_s(now_s))
-        one_way = self.one_way(settings)
+        one_way = self.one_way()
         return ServiceTime(self.stamps.to_service(stamp_s) - one_way.delay_s, one_way.sigma_s)
 
-    def from_service(self, at_s: float, now_s: float, settings: TimeSettings) -> float | None:
+    def from_service(self, at_s: float, now_s: float) -> float | None:
         """A service time near the present as a stamp of this clock: `to_service` the other way round; None before one came."""
         if not self.stamps.known:
             return None
         newest_s = self.stamps.newest_stamp_s
-        return newest_s + at_s - self.to_service(newest_s, now_s, settings).at_s
+        return newest_s + at_s - self.to_service(newest_s, now_s).at_s
 
-    def device_to_service(self, device: SenderClock, stamp_s: float, now_s: float, settings: TimeSettings) -> ServiceTime:
+    def device_to_service(self, device: SenderClock, stamp_s: float, now_s: float) -> ServiceTime:
         """A stamp of a ranging device of this vehicle, whose own clock has learnt it, on the service's clock."""
         sync = self.synchronised(now_s)
         waits_more_s = max(device.mean_wait_s() - self.stamps.mean_wait_s(), 0.0) if self.stamps.known else 0.0
         # What waits longer than the autopilot's messages may have a longer least delay, too.
         unknown_s = min(_WAITS * waits_more_s, _MOST_UNKNOWN_S)
         if sync is None or not self.stamps.known:
-            one_way = self.one_way(settings)
+            one_way = self.one_way()
             return ServiceTime(device.to_service(stamp_s) - one_way.delay_s, hypot(one_way.sigma_s, unknown_s))
         if self.round_trips.wanders(now_s):
             # The least of a minute is out of date there.
@@ -235,7 +236,7 @@ class VehicleClock:
             is_same = abs(device.least_difference_s() - self.stamps.least_difference_s()) < _SAME_CLOCK_S
             min_delay_s = self.stamps.least_difference_s() - sync.offset_at_s(now_s)
         if is_same:
-            return self.to_service(stamp_s, now_s, settings)
+            return self.to_service(stamp_s, now_s)
         sigma_s = hypot(sync.sigma_at_s(now_s), _ONE_WAY_SIGMA_S, unknown_s)
         return ServiceTime(device.to_service(stamp_s) - min_delay_s, sigma_s)
 

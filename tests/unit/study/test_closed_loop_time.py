@@ -31,8 +31,8 @@ def test_the_vehicle_is_told_where_it_is_when_it_hears_it(monkeypatch):
     engine, aware = loop.engine, loop.flight
     for sysid in engine.sysids():
         # The link takes 50 ms and up to 100 ms more; the fakes read what has arrived every 20 ms.
-        assert engine.clocks.one_way_delay_s(sysid, 55.0) == pytest.approx(0.05 + 0.005, abs=0.01)
-        method, sigma_s = engine.clocks.quality(sysid, 55.0)
+        assert engine.clocks.boot_clock(sysid).one_way_delay_s(55.0) == pytest.approx(0.05 + 0.005, abs=0.01)
+        method, sigma_s = engine.clocks.boot_clock(sysid).quality(55.0)
         assert method == "TIMESYNC"
         assert sigma_s < 0.01
     assert not [reason for reason in engine.refused() if reason.startswith("timesync")]

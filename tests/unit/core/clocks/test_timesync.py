@@ -56,7 +56,7 @@ class Exchange:
             self.refused.append(refusal)
 
     def error_s(self, at_s: float) -> float:
-        return self.clock.to_service(self.boot_s(at_s), at_s, SETTINGS).at_s - at_s
+        return self.clock.to_service(self.boot_s(at_s), at_s).at_s - at_s
 
 
 @pytest.mark.parametrize("drift", [-20e-6, 0.0, 20e-6])
@@ -68,7 +68,7 @@ def test_the_offset_is_within_5_ms_on_a_link_with_50_to_400_ms_of_jitter(delay, 
         vehicle.run(0.0, 400.0)
         assert (vehicle.clock.resets, vehicle.stamps_refused) == (0, 0)
         errors.append(vehicle.error_s(400.0))
-        scaled.append(errors[-1] / vehicle.clock.to_service(vehicle.boot_s(400.0), 400.0, SETTINGS).sigma_s)
+        scaled.append(errors[-1] / vehicle.clock.to_service(vehicle.boot_s(400.0), 400.0).sigma_s)
     # Least of 300 uniform delays each way: (Exp(1.2 ms) - Exp(1.2 ms)) / 2 goes beyond 5 ms once in 5,000; queue: far
     # below; drift adds half a millisecond. Bell: the mean of 300 has 50 ms / sqrt(2 x 300) = 2 ms, and where delays have no
     # sharp end most of the drift stays unseen: 20e-6 over half of 300 s, 3 ms. Band: 3 sigma of both.
@@ -100,9 +100,9 @@ def test_without_answers_the_error_is_the_least_delay_and_its_sigma_is_at_least_
     assert vehicle.clock.synchronised(120.0) is None
     assert vehicle.clock.one_way_delay_s(120.0) is None
     assert vehicle.error_s(120.0) == pytest.approx(0.05, abs=0.005)
-    assert vehicle.clock.to_service(vehicle.boot_s(120.0), 120.0, SETTINGS).sigma_s == 0.25
-    told = TimeSettings(min_delay_s=0.05, min_delay_sigma_s=0.01)
-    known = vehicle.clock.to_service(vehicle.boot_s(120.0), 120.0, told)
+    assert vehicle.clock.to_service(vehicle.boot_s(120.0), 120.0).sigma_s == 0.25
+    vehicle.clock.settings = TimeSettings(min_delay_s=0.05, min_delay_sigma_s=0.01)
+    known = vehicle.clock.to_service(vehicle.boot_s(120.0), 120.0)
     assert known.at_s == pytest.approx(120.0, abs=0.005)
     assert known.sigma_s == 0.01
 
@@ -114,7 +114,7 @@ def test_without_answers_the_error_is_the_least_delay_and_its_sigma_is_at_least_
 def test_the_longer_messages_wait_on_a_link_the_less_is_known_of_its_least_delay(mean_wait_s, sigma_s, drift):
     vehicle = Exchange(1, 5.0, drift, lambda rng: 0.05 + rng.exponential(mean_wait_s), None)
     vehicle.run(0.0, 120.0)
-    assert vehicle.clock.quality(120.0, SETTINGS) == ("one-way", pytest.approx(sigma_s, rel=0.1))
+    assert vehicle.clock.quality(120.0) == ("one-way", pytest.approx(sigma_s, rel=0.1))
 
 
 @pytest.mark.parametrize("utc_behind_s", [0.05, 0.15, 0.3])
@@ -123,9 +123,9 @@ def test_the_utc_of_a_vehicle_shows_how_late_its_link_is(least_s, utc_behind_s):
     vehicle = Exchange(1, 5.0, 20e-6, lambda rng: least_s + rng.exponential(0.01), None)
     vehicle.run(0.0, 120.0)
     vehicle.clock.add_utc(1e9 + 120.0 - utc_behind_s, vehicle.boot_s(120.0), 1e9)
-    known = vehicle.clock.to_service(vehicle.boot_s(120.0), 120.0, SETTINGS)
+    known = vehicle.clock.to_service(vehicle.boot_s(120.0), 120.0)
     assert abs(known.at_s - 120.0) < 2.0 * known.sigma_s
-    assert vehicle.clock.quality(120.0, SETTINGS) == ("UTC", pytest.approx(0.08, abs=0.001))
+    assert vehicle.clock.quality(120.0) == ("UTC", pytest.approx(0.08, abs=0.001))
     assert vehicle.clock.one_way_delay_s(120.0) == pytest.approx(least_s, abs=0.17)
     vehicle.run(120.0, 130.0)
     assert abs(vehicle.error_s(130.0)) < 0.17
@@ -136,9 +136,9 @@ def test_a_utc_that_no_link_explains_shows_nothing(utc_behind_s):
     vehicle = Exchange(1, 5.0, 0.0, lambda _: 0.02, None)
     vehicle.run(0.0, 60.0)
     vehicle.clock.add_utc(1e9 + 60.0, vehicle.boot_s(60.0), 1e9)
-    assert vehicle.clock.quality(60.0, SETTINGS) == ("UTC", pytest.approx(0.08, abs=0.001))
+    assert vehicle.clock.quality(60.0) == ("UTC", pytest.approx(0.08, abs=0.001))
     vehicle.clock.add_utc(1e9 + 60.0 - utc_behind_s, vehicle.boot_s(60.0), 1e9)
-    assert vehicle.clock.quality(60.0, SETTINGS) == ("one-way", pytest.approx(0.05))
+    assert vehicle.clock.quality(60.0) == ("one-way", pytest.approx(0.05))
     assert vehicle.clock.one_way_delay_s(60.0) is None
 
 
@@ -146,13 +146,13 @@ def test_utc_counts_for_less_the_longer_a_vehicle_is_up_nothing_beside_timesync_
     vehicle = Exchange(1, 20_000.0, 0.0, QUEUE, QUEUE)
     vehicle.run(0.0, 60.0)
     vehicle.clock.add_utc(1e9 + 60.0 - 0.5, vehicle.boot_s(60.0), 1e9)
-    assert vehicle.clock.quality(60.0, SETTINGS)[0] == "TIMESYNC"
+    assert vehicle.clock.quality(60.0)[0] == "TIMESYNC"
     assert vehicle.clock.one_way_delay_s(60.0) == pytest.approx(0.05, abs=0.005)
-    assert vehicle.clock.quality(400.0, SETTINGS) == ("UTC", pytest.approx(0.41, abs=0.01))
+    assert vehicle.clock.quality(400.0) == ("UTC", pytest.approx(0.41, abs=0.01))
     vehicle.clock.learn(1.0, 401.0)
     for at_s in (401.1, 401.2, 401.3):
         vehicle.clock.learn(at_s - 400.0, at_s)
-    assert vehicle.clock.quality(401.3, SETTINGS)[0] == "one-way"
+    assert vehicle.clock.quality(401.3)[0] == "one-way"
 
 
 def test_requests_are_quick_at_first_then_at_the_set_rate_and_rare_where_nobody_answers():
@@ -174,7 +174,7 @@ def test_after_five_minutes_without_an_answer_the_bound_is_the_least_delay_again
     vehicle.up = None
     vehicle.run(60.0, 370.0)
     assert vehicle.clock.synchronised(300.0) is not None
-    assert vehicle.clock.to_service(vehicle.boot_s(370.0), 370.0, SETTINGS).sigma_s == 0.25
+    assert vehicle.clock.to_service(vehicle.boot_s(370.0), 370.0).sigma_s == 0.25
 
 
 def test_a_reboot_forgets_the_old_offset_and_finds_the_new_one():
@@ -275,7 +275,7 @@ def test_the_wrap_of_32_bits_goes_by_without_a_trace():
             # The answer's 64 bits do not wrap.
             assert clock.add_answer(ts1, boot_s + 0.1, at_s + 0.2) is None
         assert clock.learn(boot_s % wrap_s, at_s + 0.1)
-        assert clock.to_service(boot_s % wrap_s, at_s + 0.2, SETTINGS).at_s == pytest.approx(at_s, abs=1e-3 if i > 2 else 0.2)
+        assert clock.to_service(boot_s % wrap_s, at_s + 0.2).at_s == pytest.approx(at_s, abs=1e-3 if i > 2 else 0.2)
     assert clock.resets == 0
 
 
@@ -329,13 +329,13 @@ def test_a_device_on_the_autopilots_clock_uses_its_offset_and_another_the_links_
         same.learn(vehicle.boot_s(at_s), at_s + QUEUE(rng))
         other.learn(at_s + 1.7e9, at_s + QUEUE(rng))
     first, second = (
-        vehicle.clock.device_to_service(device, stamp_s, 200.0, SETTINGS)
+        vehicle.clock.device_to_service(device, stamp_s, 200.0)
         for device, stamp_s in ((same, vehicle.boot_s(199.0)), (other, 199.0 + 1.7e9))
     )
     assert first.at_s == pytest.approx(199.0, abs=0.003)
     assert second.at_s == pytest.approx(199.0, abs=0.006)
     assert first.sigma_s < second.sigma_s < 0.01
-    unanswered = VehicleClock().device_to_service(other, 199.0 + 1.7e9, 200.0, SETTINGS)
+    unanswered = VehicleClock().device_to_service(other, 199.0 + 1.7e9, 200.0)
     assert unanswered.at_s == pytest.approx(199.05, abs=0.003)
     assert unanswered.sigma_s == SETTINGS.min_delay_sigma_s
 
@@ -348,5 +348,5 @@ def test_a_device_whose_stamps_wait_longer_than_the_autopilots_may_be_late_by_mo
     device, rng = SenderClock(), np.random.default_rng(7)
     for at_s in np.arange(150.0, 200.0, 0.1):
         device.learn(at_s + 1.7e9, at_s + rng.uniform(0.2, 0.9))
-    told = vehicle.clock.device_to_service(device, 199.0 + 1.7e9, 200.0, SETTINGS)
+    told = vehicle.clock.device_to_service(device, 199.0 + 1.7e9, 200.0)
     assert 0.1 < told.at_s - 199.0 < told.sigma_s
