@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import chain
-from math import isfinite, sqrt
+from math import inf, isfinite, sqrt
 from numbers import Integral
 from pathlib import PurePath
 from typing import Protocol
@@ -81,23 +82,30 @@ class Estimator(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class LossQuery:
+    """The question what an estimator would state of a healthy vehicle if its GPS failed now."""
+
+    vehicle: int
+    at_s: float
+    """The vehicle is denied from this time on (service time, s)."""
+    horizon_s: float
+    """So far ahead the vehicle is predicted."""
+    ranges: Sequence[RangeMeasurement]
+    """The vehicle's ranges of the last seconds. They go on as they came."""
+    turns_radps: Mapping[int, float] = field(default_factory=dict)
+    """The turn rates of vehicles that turn, clockwise. They are held, as all speeds are."""
+    height_sigma_m: float = inf
+    """1-sigma of the heights that come in place of the vehicle's position reports, as often as these; infinite where none do."""
+
+
 class PredictsLoss(Protocol):
     """What an estimator may offer beside `Estimator`: a prediction of what it would state if a vehicle lost its GPS."""
 
-    def predict_loss(
-        self,
-        vehicle: int,
-        at_s: float,
-        horizon_s: float,
-        ranges: Sequence[RangeMeasurement],
-        turns_radps: Mapping[int, float],
-        height_sigma_m: float,
-    ) -> Sequence[Estimate | NoEstimate]:
-        """Predict a vehicle as if it were denied from `at_s` on: its answers at that time and on, the last at the horizon.
+    def predict_loss(self, query: LossQuery) -> Sequence[Estimate | NoEstimate]:
+        """Predict a vehicle as if it were denied from `query.at_s` on: its answers at that time and on, the last at the horizon.
 
-        `ranges` are the ranges of the vehicle of the last seconds; they are taken to go on as they came. All speeds and turn
-        rates are held; `turns_radps` are those of vehicles that turn, clockwise. As often as the vehicle's position now comes its
-        height without GPS, of 1-sigma `height_sigma_m`. The estimator's own state does not change.
+        The estimator's own state does not change.
         """
         ...
 
@@ -161,21 +169,13 @@ class GuardedEstimator:
             return self._no_answer(vehicle, at_s, _NOT_ASKED_FOR)
         return answer
 
-    def predict_loss(
-        self,
-        vehicle: int,
-        at_s: float,
-        horizon_s: float,
-        ranges: Sequence[RangeMeasurement],
-        turns_radps: Mapping[int, float],
-        height_sigma_m: float,
-    ) -> Sequence[Estimate | NoEstimate] | None:
+    def predict_loss(self, query: LossQuery) -> Sequence[Estimate | NoEstimate] | None:
         """As `PredictsLoss` says; None where the inner estimator does not predict, or fails."""
         predict = getattr(self._inner, "predict_loss", None)
         if predict is None:
             return None
         try:
-            answers = list(predict(vehicle, at_s, horizon_s, ranges, turns_radps, height_sigma_m))
+            answers = list(predict(query))
             is_sound = bool(answers) and all(isinstance(each, NoEstimate) or _is_sound(each) for each in answers)
         except _ANY_FAILURE as error:
             self._fault(_RAISED, error)

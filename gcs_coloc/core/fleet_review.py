@@ -15,7 +15,7 @@ from gcs_coloc.core.integrity.report import IntegrityReport, ReacquisitionStatus
 from gcs_coloc.core.measurements import Estimate, NoEstimate, PositionMeasurement, Residual
 from gcs_coloc.core.messages.control import GpsOverride
 from gcs_coloc.core.messages.outbound import HealthChanged, Notice, Outbound
-from gcs_coloc.core.readiness.readiness_review import ReadinessReview
+from gcs_coloc.core.readiness.readiness_review import ReadinessInputs, ReadinessReview
 from gcs_coloc.core.residual_log import RangeJumps, ResidualLog
 from gcs_coloc.core.station_review import StationReview
 from gcs_coloc.core.stations.node_id import is_station
@@ -190,9 +190,7 @@ class FleetReview:
         vehicle = self.readiness.due(s.telemetry, self._is_trusted, now_s)
         if vehicle is None:
             return
-        self.readiness.review(
-            vehicle,
-            now_s,
+        inputs = ReadinessInputs(
             ranges=s.ranges.of(vehicle.sysid, now_s),
             epoch=s.integrity.epoch,
             stated_epoch=s.integrity.stated_epoch,
@@ -201,6 +199,7 @@ class FleetReview:
             height_sigma_m=s.measurements.height_sigma_m(vehicle.sysid, now_s),
             not_aided=self.aiding_view(vehicle).inhibit_reason,
         )
+        self.readiness.review(vehicle, now_s, inputs)
 
     def _trusted_position(self, node: int, now_s: float) -> PositionMeasurement | None:
         """Return where a vehicle or station says that it is; None where that is no evidence."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from math import hypot, inf
 
 from gcs_coloc.core.aiding.settings import AidingSettings
-from gcs_coloc.core.estimator import GuardedEstimator
+from gcs_coloc.core.estimator import GuardedEstimator, LossQuery
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch
 from gcs_coloc.core.integrity.fix_check import star
 from gcs_coloc.core.integrity.protection_level import Exposure, ProtectionSettings
@@ -38,6 +38,25 @@ _FLYING_SPEED_MPS = 3.0
 """Chosen: faster than a vehicle at rest seems to be, slower than any flight but a hover."""
 _FLYING_HEIGHT_M = 5.0
 """Over where it was armed. Chosen: beyond the drift of a barometer on the ground."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReadinessInputs:
+    """What earlier stages know of a vehicle for the prediction of its loss."""
+
+    ranges: Sequence[RangeMeasurement]
+    """Its ranges of late."""
+    epoch: Epoch
+    """The residuals of the last review of integrity."""
+    stated_epoch: Epoch
+    """The same with their noise as stated."""
+    node: Callable[[int], PositionMeasurement | None]
+    """Returns where the other end of a range reports to be, None where that is no evidence."""
+    exposure: Exposure
+    height_sigma_m: float
+    """1-sigma of the heights that it would have without GPS."""
+    not_aided: str | None
+    """Why it would get no aid."""
 
 
 @dataclass(slots=True)
@@ -100,58 +119,35 @@ class ReadinessReview:
                 first, first_due_s = vehicle, due_s
         return first if first_due_s <= now_s and now_s - self._predicted_at_s >= _SPACING_S - SAME_S else None
 
-    def review(
-        self,
-        vehicle: ReportedState,
-        now_s: float,
-        *,
-        ranges: Sequence[RangeMeasurement],
-        epoch: Epoch,
-        stated_epoch: Epoch,
-        node: Callable[[int], PositionMeasurement | None],
-        exposure: Exposure,
-        height_sigma_m: float,
-        not_aided: str | None,
-    ) -> None:
-        """Predict one vehicle by its ranges of late.
-
-        `epoch` holds the residuals of the last review of integrity, `stated_epoch` the same with their noise as stated. `node`
-        returns where the other end of a range reports to be, None where that is no evidence. `height_sigma_m` is the 1-sigma of
-        the heights that it would have without GPS. `not_aided` is why the vehicle would get no aid.
-        """
+    def review(self, vehicle: ReportedState, now_s: float, inputs: ReadinessInputs) -> None:
+        """Predict one vehicle by its ranges of late."""
         self._predicted_at_s = now_s
-        found = self._predict(vehicle.sysid, now_s, ranges, epoch, stated_epoch, node, exposure, height_sigma_m)
-        if not_aided is not None and found.state is not ReadinessState.UNKNOWN:
-            limit = Limit(LimitingReason.NOT_AIDED, detail=not_aided)
+        found = self._predict(vehicle.sysid, now_s, inputs)
+        if inputs.not_aided is not None and found.state is not ReadinessState.UNKNOWN:
+            limit = Limit(LimitingReason.NOT_AIDED, detail=inputs.not_aided)
             found.state, found.reason, found.text = ReadinessState.NOT_READY, limit.reason.code, limit.text
         self._state(vehicle.sysid, found, now_s)
 
-    def _predict(
-        self,
-        sysid: int,
-        now_s: float,
-        ranges: Sequence[RangeMeasurement],
-        epoch: Epoch,
-        stated_epoch: Epoch,
-        node: Callable[[int], PositionMeasurement | None],
-        exposure: Exposure,
-        height_sigma_m: float,
-    ) -> VehicleReadiness:
+    def _predict(self, sysid: int, now_s: float, inputs: ReadinessInputs) -> VehicleReadiness:
+        ranges, node, epoch = inputs.ranges, inputs.node, inputs.epoch
         others = {m.to_vehicle if m.from_vehicle == sysid else m.from_vehicle for m in ranges}
         peers = {other: reported for other in sorted(others) if (reported := node(other)) is not None}
         used = [m for m in ranges if m.to_vehicle in peers or m.from_vehicle in peers]
         turns_radps = {vehicle: self._turns.of(vehicle) for vehicle in (sysid, *peers)}
-        answers = self._estimator.predict_loss(sysid, now_s, HORIZON_S, used, turns_radps, height_sigma_m)
+        query = LossQuery(sysid, now_s, HORIZON_S, used, turns_radps, inputs.height_sigma_m)
+        answers = self._estimator.predict_loss(query)
         if answers is None:
             limit = Limit(LimitingReason.NOT_PREDICTED, detail=self._estimator.name)
             return VehicleReadiness(ReadinessState.UNKNOWN, now_s, limit.reason.code, limit.text, len(peers))
         # Those of one time are one: they show the motion together.
         interval_s = (now_s - used[0].measured_at_s) / len({m.measured_at_s for m in used}) if used else inf
         around = _without_values(star(epoch, sysid, peers))
-        as_stated = around if stated_epoch is epoch else _without_values(star(stated_epoch, sysid, peers))
+        as_stated = around if inputs.stated_epoch is epoch else _without_values(star(inputs.stated_epoch, sysid, peers))
         own = node(sysid)
         velocity = own.velocity_enu_mps if own is not None else None
-        situation = LossSituation(sysid, velocity or (0.0, 0.0, 0.0), peers, around, as_stated, turns_radps, interval_s, exposure)
+        situation = LossSituation(
+            sysid, velocity or (0.0, 0.0, 0.0), peers, around, as_stated, turns_radps, interval_s, inputs.exposure
+        )
         return forecast(situation, answers, self._aiding, self._protection)
 
     def _state(self, sysid: int, found: VehicleReadiness, now_s: float) -> None:

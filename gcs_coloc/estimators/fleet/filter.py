@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 
+from gcs_coloc.core.estimator import LossQuery
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     AttitudeMeasurement,
@@ -25,7 +26,7 @@ from gcs_coloc.core.measurements import (
 )
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome
 from gcs_coloc.estimators.fleet.hypotheses import FleetHypotheses
-from gcs_coloc.estimators.fleet.loss_prediction import NO_TURNS, predict_loss
+from gcs_coloc.estimators.fleet.loss_prediction import predict_loss
 from gcs_coloc.estimators.fleet.out_of_sequence import Entry, Key, OosmBuffer
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
@@ -91,17 +92,9 @@ class FleetFilter:
         """Return where a vehicle is at a time near the present, up to 2 s before its newest measurement."""
         return self._buffer.process().estimate(vehicle, at_s)
 
-    def predict_loss(
-        self,
-        vehicle: int,
-        at_s: float,
-        horizon_s: float,
-        ranges: Sequence[RangeMeasurement],
-        turns_radps: Mapping[int, float] = NO_TURNS,
-        height_sigma_m: float = math.inf,
-    ) -> list[Estimate | NoEstimate]:
+    def predict_loss(self, query: LossQuery) -> list[Estimate | NoEstimate]:
         """Predict what would be stated of a healthy vehicle if its GPS failed now, see `core.estimator.PredictsLoss`."""
-        return predict_loss(self._buffer.process().main, vehicle, at_s, horizon_s, ranges, turns_radps, height_sigma_m)
+        return predict_loss(self._buffer.process().main, query)
 
     def drain_residuals(self) -> list[Residual]:
         """Return the residuals since the last call, each range once, oldest first."""

@@ -11,13 +11,13 @@ zero, so covariances alone change. Three things are condensed, for cost:
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from statistics import median
-from types import MappingProxyType
 
 import numpy as np
 
+from gcs_coloc.core.estimator import LossQuery
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     AttitudeMeasurement,
@@ -47,7 +47,6 @@ from gcs_coloc.estimators.fleet.observed_biases import presume_bias, unknown_err
 from gcs_coloc.estimators.fleet.peer_selection import rough_position, select_peers
 from gcs_coloc.estimators.fleet.predicted_peers import PeerPoint, RangeStream, peer_point
 
-NO_TURNS: Mapping[int, float] = MappingProxyType({})
 _BARO = slice(BARO_ERROR, BARO_ERROR + 1)
 _LONGEST_STEP_S, _LAST_STEP_S = 5.0, 0.7
 """Steps are halved towards the horizon: what was measured long before it tells of what lasts alone. Chosen: nine of them, with
@@ -59,33 +58,21 @@ _STEADY_GAIN = 2.47
 _STEADY = ManoeuvreDetector(c_e=math.sqrt(2.0 * math.sqrt(_STEADY_GAIN)), C_ee=1.0, C_nn=1.0, C_uu=1.0)
 
 
-def predict_loss(
-    model: FleetModel,
-    vehicle: int,
-    at_s: float,
-    horizon_s: float,
-    ranges: Sequence[RangeMeasurement],
-    turns_radps: Mapping[int, float] = NO_TURNS,
-    height_sigma_m: float = math.inf,
-) -> list[Estimate | NoEstimate]:
-    """Predict a healthy vehicle as if it were denied from `at_s` on: at that time, and step by step up to the horizon.
-
-    `ranges` are its ranges of the last seconds, `turns_radps` the turn rates, clockwise, of vehicles that turn.
-    `height_sigma_m` is the 1-sigma of the heights that take the place of its position reports; infinite where none do.
-    """
-    prediction = _LossPrediction(model, vehicle, at_s, turns_radps, height_sigma_m)
+def predict_loss(model: FleetModel, query: LossQuery) -> list[Estimate | NoEstimate]:
+    """Predict a healthy vehicle as if it were denied: at the time of its loss, and step by step up to the horizon."""
+    prediction, at_s = _LossPrediction(model, query), query.at_s
     if prediction.cluster is None:
-        return [model.estimate(vehicle, at_s)]
-    prediction.add_peers(model, ranges)
-    prediction.begin(horizon_s)
+        return [model.estimate(query.vehicle, at_s)]
+    prediction.add_peers(model, query.ranges)
+    prediction.initialise(query.horizon_s)
     answers = [prediction.estimate(at_s)]
-    steps_s = step_lengths_s(horizon_s)
+    steps_s = step_lengths_s(query.horizon_s)
     prediction.use_measurements(0.5 * steps_s[0])
     passed_s = 0.0
     for step_s, next_s in zip(steps_s, (*steps_s[1:], 0.0), strict=True):
         passed_s += step_s
         prediction.propagate(at_s + passed_s - min(prediction.delay_s, 0.5 * step_s))
-        # Half of what is measured in a step counts at its begin, half at its end.
+        # Half of what is measured in a step counts at its start, half at its end.
         prediction.use_measurements(0.5 * (step_s + next_s))
         answers.append(prediction.estimate(at_s + passed_s))
     return answers
@@ -106,18 +93,16 @@ class _LossPrediction:
     `delay_s` is how long after its measuring a range arrives.
     """
 
-    def __init__(
-        self, model: FleetModel, vehicle: int, at_s: float, turns_radps: Mapping[int, float], height_sigma_m: float
-    ) -> None:
+    def __init__(self, model: FleetModel, query: LossQuery) -> None:
         self._settings = s = model.settings
-        self._turns_radps = turns_radps
-        self._vehicle, self._at_s = vehicle, at_s
+        self._turns_radps = query.turns_radps
+        self._vehicle, self._at_s = vehicle, at_s = query.vehicle, query.at_s
         self._records = records = Records()
         self.cluster: Cluster | None = None
         self._points: dict[int, PeerPoint] = {}
         self._streams: list[RangeStream] = []
         self.delay_s = 0.0
-        self._height_sigma_m, self._height_rate_hz = height_sigma_m, 0.0
+        self._height_sigma_m, self._height_rate_hz = query.height_sigma_m, 0.0
         self._way = HeldMotion((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         self._attitude: AttitudeMeasurement | None = None
         known = model.records.get(vehicle)
@@ -160,15 +145,15 @@ class _LossPrediction:
         delays_s = [m.arrived_at_s - m.measured_at_s for each in by_stream.values() for m in each]
         self.delay_s = max(median(delays_s), 0.0) if delays_s else 0.0
 
-    def begin(self, horizon_s: float) -> None:
+    def initialise(self, horizon_s: float) -> None:
         """Hold what the vehicle measures of itself, and give the peers their states."""
         assert self.cluster is not None
         record, joint = self._records[self._vehicle], self.cluster.joint
         record.manoeuvre = _STEADY.copy()
         velocity_e, velocity_n, velocity_u = joint.mean(self._vehicle)[VELOCITY].tolist()
         place, turn = self.cluster.position(self._vehicle), self._turns_radps.get(self._vehicle, 0.0)
-        begin = HeldMotion(place, (velocity_e, velocity_n, velocity_u), turn)
-        self._way = begin.after(self._at_s - joint.time_s[self._vehicle])
+        known = HeldMotion(place, (velocity_e, velocity_n, velocity_u), turn)
+        self._way = known.after(self._at_s - joint.time_s[self._vehicle])
         attitude = fresh_air_data(record, self._settings, self._at_s)
         if attitude is not None:
             # It stays fresh: attitudes go on coming. The process noise is that of level flight, to which a turn comes back.

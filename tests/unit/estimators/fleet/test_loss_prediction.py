@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
+from gcs_coloc.core.estimator import LossQuery
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     AttitudeMeasurement,
@@ -79,7 +80,7 @@ class Flight:
 def predict(
     flight: Flight, ranges: list[RangeMeasurement], height_sigma_m: float = HEIGHT_SIGMA_M
 ) -> list[Estimate | NoEstimate]:
-    return flight.filter.predict_loss(1, LOST_S, HORIZON_S, ranges, {}, height_sigma_m)
+    return flight.filter.predict_loss(LossQuery(1, LOST_S, HORIZON_S, ranges, height_sigma_m=height_sigma_m))
 
 
 def sigma_m(answer: Estimate | NoEstimate) -> float:
@@ -178,7 +179,7 @@ def test_ranges_that_have_ceased_do_not_count() -> None:
 @pytest.mark.parametrize("vehicle", [1, 7])
 def test_of_what_it_does_not_know_nothing_is_predicted(vehicle: int) -> None:
     flight = Flight("around", air_data=True, rate_hz=5.0)
-    [answer] = FleetFilter().predict_loss(vehicle, 0.0, HORIZON_S, flight.ranges)
+    [answer] = FleetFilter().predict_loss(LossQuery(vehicle, 0.0, HORIZON_S, flight.ranges))
     assert isinstance(answer, NoEstimate)
     assert answer.at_s == 0.0
 
