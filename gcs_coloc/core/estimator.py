@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 from itertools import chain
 from math import inf, isfinite, sqrt
 from numbers import Integral
@@ -24,12 +25,8 @@ from gcs_coloc.core.measurements import (
 )
 from gcs_coloc.core.reasons import StatedReason
 
-_RAISED = "raised an exception"
-_NO_RESIDUAL = "gave a residual that is none"
 _SIX_ROWS = [6] * 6
 _TWO_ROWS = [2] * 2
-_NOT_A_POSITION = "gave a result that is no position with a covariance"
-_NOT_ASKED_FOR = "gave the position of another vehicle or time than was asked for"
 _SAME_S = 1e-6  # chosen: of a time that was computed anew in another way
 _ROUNDING = 1e-9  # of a correlation; chosen: far above what rounding makes of a covariance of six states
 _ANY_FAILURE = (Exception, SystemExit)  # a plug-in may call sys.exit
@@ -110,6 +107,15 @@ class PredictsLoss(Protocol):
         ...
 
 
+class EstimatorFault(StrEnum):
+    """What an estimator does that no estimator may. Its value is the `outcome` label of the metric, and its wording."""
+
+    RAISED = "raised an exception"
+    NO_RESIDUAL = "gave a residual that is none"
+    NOT_A_POSITION = "gave a result that is no position with a covariance"
+    NOT_ASKED_FOR = "gave the position of another vehicle or time than was asked for"
+
+
 class GuardedEstimator:
     """Keeps a faulty estimator from doing harm; `report` is called with the text of each kind of fault once.
 
@@ -120,7 +126,7 @@ class GuardedEstimator:
     def __init__(self, inner: Estimator, report: Callable[[str], None]) -> None:
         self._inner = inner
         self._report = report
-        self._faults: Counter[str] = Counter()
+        self._faults: Counter[EstimatorFault] = Counter()
 
     @property
     def name(self) -> str:
@@ -132,21 +138,21 @@ class GuardedEstimator:
         try:
             self._inner.set_denied(denied, at_s)
         except _ANY_FAILURE as error:
-            self._fault(_RAISED, error)
+            self._count(EstimatorFault.RAISED, error)
 
     def reset(self, vehicle: int, at_s: float) -> None:
         """As the protocol says."""
         try:
             self._inner.reset(vehicle, at_s)
         except _ANY_FAILURE as error:
-            self._fault(_RAISED, error)
+            self._count(EstimatorFault.RAISED, error)
 
     def add(self, measurement: Measurement) -> None:
         """As the protocol says."""
         try:
             self._inner.add(measurement)
         except _ANY_FAILURE as error:
-            self._fault(_RAISED, error)
+            self._count(EstimatorFault.RAISED, error)
 
     def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
         """As the protocol says; NoEstimate where the inner estimator fails, or its answer is none, or no position of that vehicle
@@ -155,7 +161,7 @@ class GuardedEstimator:
         try:
             answer = self._inner.estimate(vehicle, at_s)
         except _ANY_FAILURE as error:
-            self._fault(_RAISED, error)
+            self._count(EstimatorFault.RAISED, error)
             return NoEstimate(
                 vehicle, at_s, Unlocated(NoEstimateReason.ESTIMATOR_FAILED, detail=f"failed: {type(error).__name__}")
             )
@@ -164,9 +170,9 @@ class GuardedEstimator:
                 return answer
             return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.OTHER, detail=str(answer.reason)))
         if not _is_sound(answer):
-            return self._no_answer(vehicle, at_s, _NOT_A_POSITION)
+            return self._no_answer(vehicle, at_s, EstimatorFault.NOT_A_POSITION)
         if answer.vehicle != vehicle or not abs(answer.at_s - at_s) <= _SAME_S:
-            return self._no_answer(vehicle, at_s, _NOT_ASKED_FOR)
+            return self._no_answer(vehicle, at_s, EstimatorFault.NOT_ASKED_FOR)
         return answer
 
     def predict_loss(self, query: LossQuery) -> Sequence[Estimate | NoEstimate] | None:
@@ -178,10 +184,10 @@ class GuardedEstimator:
             answers = list(predict(query))
             is_sound = bool(answers) and all(isinstance(each, NoEstimate) or _is_sound(each) for each in answers)
         except _ANY_FAILURE as error:
-            self._fault(_RAISED, error)
+            self._count(EstimatorFault.RAISED, error)
             return None
         if not is_sound:
-            self._fault(_NOT_A_POSITION, None)
+            self._count(EstimatorFault.NOT_A_POSITION, None)
             return None
         return answers
 
@@ -191,14 +197,14 @@ class GuardedEstimator:
             residuals = list(self._inner.drain_residuals())
             sound = [residual for residual in residuals if _is_residual(residual)]
         except _ANY_FAILURE as error:
-            self._fault(_RAISED, error)
+            self._count(EstimatorFault.RAISED, error)
             return []
         if len(sound) != len(residuals):
-            self._fault(_NO_RESIDUAL, None)
+            self._count(EstimatorFault.NO_RESIDUAL, None)
         return sound
 
     @property
-    def faults(self) -> Mapping[str, int]:
+    def faults(self) -> Mapping[EstimatorFault, int]:
         """How often each kind of fault occurred."""
         return dict(self._faults)
 
@@ -207,19 +213,19 @@ class GuardedEstimator:
         try:
             counts = {str(reason): int(count) for reason, count in self._inner.counts().items()}
         except _ANY_FAILURE as error:
-            self._fault(_RAISED, error)
+            self._count(EstimatorFault.RAISED, error)
             counts = {}
-        return {**counts, **self._faults}
+        return {**counts, **{fault.value: count for fault, count in self._faults.items()}}
 
-    def _no_answer(self, vehicle: int, at_s: float, kind: str) -> NoEstimate:
-        self._fault(kind, None)
-        return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.ESTIMATOR_FAILED, detail=kind))
+    def _no_answer(self, vehicle: int, at_s: float, fault: EstimatorFault) -> NoEstimate:
+        self._count(fault, None)
+        return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.ESTIMATOR_FAILED, detail=fault.value))
 
-    def _fault(self, kind: str, error: BaseException | None) -> None:
-        self._faults[kind] += 1
-        if self._faults[kind] == 1:
+    def _count(self, fault: EstimatorFault, error: BaseException | None) -> None:
+        self._faults[fault] += 1
+        if self._faults[fault] == 1:
             detail = f": {type(error).__name__}: {error}{_place(error)}" if error is not None else ""
-            self._report(f"estimator {self.name} {kind}{detail}; an answer that fails is not used")
+            self._report(f"estimator {self.name} {fault.value}{detail}; an answer that fails is not used")
 
 
 def _place(error: BaseException) -> str:
