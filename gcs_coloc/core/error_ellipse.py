@@ -1,12 +1,12 @@
-"""Error ellipse and error bound of a covariance: the package's one eigen-decomposition of a symmetric 2x2 matrix.
+"""Error ellipse and error bound of a covariance, with the one eigen-decomposition of 2x2 matrices; HDOP of ranges.
 
 Closed forms: numpy's general decompositions take several times as long for two and three directions.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from math import acos, atan2, cos, sqrt
+from collections.abc import Callable, Iterable
+from math import acos, atan2, cos, inf, sqrt
 from typing import NamedTuple, TypeVar
 
 from gcs_coloc.core.measurements import FloatArray
@@ -14,6 +14,8 @@ from gcs_coloc.core.measurements import FloatArray
 # Radius of the circle that holds 95 % of a plane Gaussian, in units of its larger axis' sigma, for smaller / larger axis
 # of 0, 0.1, ... 1: the root of the integral over the circle. From 1.96 (a line) to sqrt(5.99) (a round one).
 _RADIUS_95 = (1.9600, 1.9625, 1.9704, 1.9842, 2.0051, 2.0359, 2.0813, 2.1460, 2.2303, 2.3318, 2.4478)
+
+_PARALLEL = 1e-14  # chosen: the rounding of double precision; below it all lines of sight are one
 
 _Real = TypeVar("_Real", float, FloatArray)
 
@@ -59,6 +61,20 @@ def horizontal_sigma_and_bound_95_m(covariance: FloatArray) -> tuple[float, floa
     index = min(int(place), 9)
     below, above = _RADIUS_95[index], _RADIUS_95[index + 1]
     return larger_m, larger_m * (below + (place - index) * (above - below))
+
+
+def horizontal_dilution_of(units: Iterable[tuple[float, float, float]]) -> float:
+    """HDOP of ranges to a vehicle of known height, from the unit vectors between its peers and it: a plain number.
+
+    Infinite where the directions are parallel to within the rounding of their squares (some 1e-7 rad).
+    """
+    ee = en = nn = 0.0
+    for e, n, _ in units:
+        ee += e * e
+        en += e * n
+        nn += n * n
+    trace, determinant = ee + nn, ee * nn - en * en
+    return sqrt(trace / determinant) if determinant > _PARALLEL * trace * trace else inf
 
 
 def worst_sigma(covariance: FloatArray) -> float:

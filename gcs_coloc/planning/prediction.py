@@ -15,7 +15,7 @@ from math import hypot, sqrt
 import numpy as np
 
 from gcs_coloc.core.aiding.fix_policy import FixPolicy
-from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
+from gcs_coloc.core.error_ellipse import horizontal_bound_95_m, horizontal_dilution_of
 from gcs_coloc.core.integrity.epoch_tests.epoch import LARGEST_SIGMA_V_M, Epoch, PositionPrior, RangeResidual
 from gcs_coloc.core.integrity.protection_level import VERTICAL_RATIO, Exposure, FaultLevel, fault_level, protection_level
 from gcs_coloc.core.integrity.range_residuals import RangeResidualSettings
@@ -38,7 +38,6 @@ from gcs_coloc.estimators.fleet.ekf.state import pair_key
 from gcs_coloc.estimators.fleet.hypotheses import FleetHypotheses
 from gcs_coloc.estimators.fleet.peer_selection import select_peers
 from gcs_coloc.estimators.fleet.settings import FleetSettings
-from gcs_coloc.estimators.qu_zhang.dop import horizontal_dilution_of
 from gcs_coloc.planning.fleet_plan import FleetPlan
 from gcs_coloc.planning.known_noise import condensed, known_split
 from gcs_coloc.planning.planned_motion import PlannedMotion, planned_attitudes

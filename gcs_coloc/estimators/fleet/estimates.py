@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gcs_coloc.core.error_ellipse import horizontal_sigma_m
+from gcs_coloc.core.error_ellipse import horizontal_dilution_of, horizontal_sigma_m
 from gcs_coloc.core.measurements import Estimate, NoEstimate, NoEstimateReason, Unlocated
 from gcs_coloc.estimators.fleet.ambiguity.curved_ranges import FAR_SIGMAS, curvature_covariances
 from gcs_coloc.estimators.fleet.ambiguity.range_evidence import unresolved_outlier_variance_m2
@@ -20,7 +20,6 @@ from gcs_coloc.estimators.fleet.observed_biases import unknown_bias_covariance
 from gcs_coloc.estimators.fleet.search.position_search import PositionSearch
 from gcs_coloc.estimators.fleet.searched_vehicles import predicted_search
 from gcs_coloc.estimators.fleet.settings import FleetSettings
-from gcs_coloc.estimators.qu_zhang.dop import horizontal_dilution_of
 
 _STEP_BACK_MOST_S = 2.0
 """Chosen: further back the prediction with negative steps does not hold."""

@@ -1,4 +1,6 @@
-"""The 95 % bound against chi-square in its two limits and against sampling in between."""
+"""The 95 % bound against chi-square in its two limits and against sampling in between; HDOP against a decomposition."""
+
+import math
 
 import numpy as np
 import pytest
@@ -6,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from gcs_coloc.core.error_ellipse import horizontal_bound_95_m, horizontal_sigma_m, worst_sigma
+from gcs_coloc.core.error_ellipse import horizontal_bound_95_m, horizontal_dilution_of, horizontal_sigma_m, worst_sigma
+from gcs_coloc.estimators.qu_zhang.dop import horizontal_dilution
 
 
 def test_a_round_error_gives_chi_square_with_two_degrees_of_freedom():
@@ -47,3 +50,17 @@ def test_the_worst_of_three_directions_is_the_root_of_the_largest_eigenvalue():
         assert worst_sigma(covariance) == pytest.approx(np.sqrt(np.linalg.eigvalsh(covariance)[-1]), rel=1e-7)
     assert worst_sigma(np.eye(3) * 4.0) == 2.0
     assert worst_sigma(np.zeros((3, 3))) == 0.0
+
+
+@given(st.lists(st.tuples(st.floats(0.0, 6.28), st.floats(-1.5, 1.5)), min_size=2, max_size=8))
+def test_the_quick_horizontal_dilution_is_the_thorough_one(directions) -> None:
+    units = [(math.sin(a) * math.cos(up), math.cos(a) * math.cos(up), math.sin(up)) for a, up in directions]
+    thorough = float(horizontal_dilution(np.array(units)))
+    quick = horizontal_dilution_of(units)
+    # Below that the squares have lost what tells the directions apart; nobody flies by a dilution of a million.
+    assert quick == pytest.approx(thorough, rel=1e-3) if thorough < 1e5 else quick > 1e4
+
+
+def test_parallel_directions_have_no_quick_dilution_either() -> None:
+    assert horizontal_dilution_of([(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)]) == math.inf
+    assert horizontal_dilution_of([]) == math.inf
