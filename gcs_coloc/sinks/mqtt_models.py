@@ -6,8 +6,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict
 
@@ -15,13 +14,14 @@ from gcs_coloc.core.alarms.alarms import Alarm, AlarmKind, AlarmState
 from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
 from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
 from gcs_coloc.core.standby.sign_of_life import StandbyState
-from gcs_coloc.core.standby.standby_snapshot import StandbySnapshot
 from gcs_coloc.core.station_review import StationSnapshot
 from gcs_coloc.sinks.fleet_overview import FleetOverview
 from gcs_coloc.sinks.mqtt_commands import Command, Range, StandbyCommand
 
 TOPIC_VERSION = "v2"
 """Stands in every topic. A change that breaks readers makes it the next one; v1 was that of version 0.1."""
+
+_Model = TypeVar("_Model", bound=BaseModel)
 
 
 class _Sent(BaseModel):
@@ -187,33 +187,30 @@ BY_TOPIC: dict[str, type[BaseModel]] = {
 
 def of_vehicle(v: VehicleSnapshot, at_unix_s: float | None) -> dict[str, _Sent]:
     """What is published of one vehicle, by the last part of its topic."""
-    parts: dict[str, type[_Sent]] = {"state": VehicleState, "estimate": VehicleEstimate, "health": VehicleHealth}
-    sent: dict[str, _Sent] = {
-        name: model.model_validate(
-            {"at_unix_s": at_unix_s} | {key: getattr(v, key) for key in model.model_fields if key != "at_unix_s"}
-        )
-        for name, model in parts.items()
+    return {
+        "state": _told(VehicleState, v, at_unix_s=at_unix_s),
+        "estimate": _told(VehicleEstimate, v, at_unix_s=at_unix_s),
+        "health": _told(VehicleHealth, v, at_unix_s=at_unix_s),
+        "readiness": _readiness(v, at_unix_s),
     }
-    return sent | {"readiness": _readiness(v, at_unix_s)}
 
 
 def _readiness(v: VehicleSnapshot, at_unix_s: float | None) -> ReadinessTold:
-    keys = ReadinessTold.model_fields.keys() - {"at_unix_s", "sysid"}
-    content: dict[str, Any] = {key: getattr(v.readiness, key, None) for key in keys} | {"at_unix_s": at_unix_s, "sysid": v.sysid}
-    return ReadinessTold.model_validate(content | {"text": content["text"] or ""})
+    found: dict[str, Any] = {"at_unix_s": at_unix_s, "sysid": v.sysid}
+    if v.readiness is None:
+        return ReadinessTold.model_validate(dict.fromkeys(ReadinessTold.model_fields) | found | {"text": ""})
+    return _told(ReadinessTold, v.readiness, **found)
 
 
 def of_station(station: StationSnapshot, at_unix_s: float | None) -> StationState:
     """What is published of one station."""
-    content = {key: getattr(station, key) for key in StationState.model_fields if key != "at_unix_s"}
-    return StationState.model_validate({"at_unix_s": at_unix_s} | content)
+    return _told(StationState, station, at_unix_s=at_unix_s)
 
 
 def of_alarm(alarm: Alarm, snapshot: FleetSnapshot) -> AlarmChange:
     """What is published of an alarm that has changed; `snapshot` knows the time."""
-    content = {key: getattr(alarm, key) for key in ("id", "state", "kind", "sysid", "level", "text", "action", "times")}
-    times = {"at_unix_s": unix_s(alarm.at_s, snapshot), "raised_unix_s": unix_s(alarm.raised_at_s, snapshot)}
-    return AlarmChange.model_validate(content | times)
+    at_unix_s, raised_unix_s = unix_s(alarm.at_s, snapshot), unix_s(alarm.raised_at_s, snapshot)
+    return _told(AlarmChange, alarm, at_unix_s=at_unix_s, raised_unix_s=raised_unix_s)
 
 
 def status(snapshot: FleetSnapshot | None, *, online: bool) -> FleetStatus:
@@ -227,13 +224,14 @@ def status(snapshot: FleetSnapshot | None, *, online: bool) -> FleetStatus:
         estimator=snapshot.estimator,
         vehicles=vehicles,
         refused=snapshot.refused,
-        outs=tuple(GroundTools(**asdict(out)) for out in snapshot.outs),
-        standby=_standby(snapshot.standby) if snapshot.standby is not None else None,
+        outs=tuple(_told(GroundTools, out) for out in snapshot.outs),
+        standby=_told(StandbyStatus, snapshot.standby) if snapshot.standby is not None else None,
     )
 
 
-def _standby(standby: StandbySnapshot) -> StandbyStatus:
-    return StandbyStatus.model_validate({key: getattr(standby, key) for key in StandbyStatus.model_fields})
+def _told(model: type[_Model], source: object, **further: Any) -> _Model:
+    """A message whose fields are those of a snapshot of the core, but for some further ones."""
+    return model.model_validate({key: getattr(source, key) for key in model.model_fields.keys() - further.keys()} | further)
 
 
 def unix_s(at_s: float, snapshot: FleetSnapshot) -> float | None:
