@@ -22,7 +22,7 @@ from gcs_coloc.core.messages.inbound import (
     PeerRange,
     TimeBase,
 )
-from gcs_coloc.core.readiness.recent_ranges import RecentRanges
+from gcs_coloc.core.readiness.readiness_review import RecentRanges
 from gcs_coloc.estimators.registry import load_estimator
 
 _VEHICLES = 30

@@ -34,7 +34,7 @@ from gcs_coloc.core.messages.inbound import (
     TimeSyncAnswer,
 )
 from gcs_coloc.core.messages.outbound import Notice, Outbound
-from gcs_coloc.core.readiness.recent_ranges import RecentRanges
+from gcs_coloc.core.readiness.readiness_review import RecentRanges
 from gcs_coloc.core.stations.node_id import is_station
 from gcs_coloc.core.stations.station_survey import StationSurvey
 from gcs_coloc.core.stations.stations import Station, Stations

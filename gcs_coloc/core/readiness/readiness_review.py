@@ -5,6 +5,7 @@ It observes: no estimate, no state of GPS and no message depends on it.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import hypot, inf
@@ -38,6 +39,34 @@ _FLYING_SPEED_MPS = 3.0
 """Chosen: faster than a vehicle at rest seems to be, slower than any flight but a hover."""
 _FLYING_HEIGHT_M = 5.0
 """Over where it was armed. Chosen: beyond the drift of a barometer on the ground."""
+_RANGES_KEPT_S = 10.0
+"""Chosen: two ranges of a pair at 0.2 Hz, the slowest that the fleet filter selects a peer by."""
+_MOST_RANGES = 600
+"""Ranges of one vehicle. Chosen: 10 s of six peers at 10 Hz; of more the last seconds tell the rates as well."""
+
+
+class RecentRanges:
+    """The ranges of each vehicle of the last seconds, as the estimator got them, oldest first.
+
+    A range is one of both its ends; stations keep none.
+    """
+
+    def __init__(self) -> None:
+        self._of: dict[int, deque[RangeMeasurement]] = {}
+
+    def add(self, measurement: RangeMeasurement) -> None:
+        """Add a range."""
+        for end in (measurement.from_vehicle, measurement.to_vehicle):
+            if end > 0:
+                ranges = self._of.get(end)
+                if ranges is None:
+                    ranges = self._of[end] = deque(maxlen=_MOST_RANGES)
+                ranges.append(measurement)
+
+    def of(self, vehicle: int, now_s: float) -> list[RangeMeasurement]:
+        """Return the ranges of a vehicle that were measured within the last 10 s."""
+        oldest_s = now_s - _RANGES_KEPT_S
+        return [m for m in self._of.get(vehicle, ()) if m.measured_at_s >= oldest_s]
 
 
 @dataclass(frozen=True, slots=True)
