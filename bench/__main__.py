@@ -89,8 +89,8 @@ def main() -> None:
         figures += _SECTIONS[section](arguments.quick)
     table = Table("section", "figure", "measured", "goal", "")
     for figure in figures:
-        verdict = "" if figure.reached is None else ("reached" if figure.reached else "NOT reached")
-        table.add_row(figure.section, figure.name, figure.value, figure.goal, verdict)
+        result = "" if figure.reached is None else ("reached" if figure.reached else "NOT reached")
+        table.add_row(figure.section, figure.name, figure.value, figure.goal, result)
     Console(width=150).print(table)
     if arguments.json is not None:
         arguments.json.write_text(json.dumps([asdict(figure) for figure in figures], indent=2) + "\n", encoding="utf-8")

@@ -22,7 +22,7 @@ from bench.accuracy_runs import (
     on_all_cores,
     relative_error_of_mse,
     rmse_m,
-    take,
+    run_estimator,
     unknown_share,
 )
 from bench.figures import Figure
@@ -83,7 +83,7 @@ def _own_model(case: ModelCase, runs: int) -> list[Figure]:
 
 
 def _fleet_over(one: Recording) -> Run:
-    return take(one, load_estimator("fleet", {}))
+    return run_estimator(one, load_estimator("fleet", {}))
 
 
 def _flown(what: str, case: Case, seeds: int) -> list[Run]:
@@ -161,7 +161,7 @@ def _peer_through(task: tuple[str, float, int]) -> Run:
     peer, rate_hz, seed = task
     make = _maker(peer)
     assert make is not None
-    return take(record(Case(rate_hz=rate_hz), seed), make())
+    return run_estimator(record(Case(rate_hz=rate_hz), seed), make())
 
 
 def _maker(peer: str) -> Callable[[], Locator] | None:

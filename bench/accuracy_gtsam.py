@@ -24,20 +24,20 @@ _Stamp = SupportsFloat | SupportsIndex
 class GtsamSmoother(RangePeer):
     """gtsam.IncrementalFixedLagSmoother (iSAM2), 5 s; each neighbour is a variable with a prior of its filter's covariance."""
 
-    def begin(self, mean: FloatArray, covariance: FloatArray, at_s: float) -> None:
+    def initialise(self, mean: FloatArray, covariance: FloatArray, at_s: float) -> None:
         """Start the smoother with a prior on place and velocity, which are independent at the start."""
         self._smoother = gtsam.IncrementalFixedLagSmoother(_LAG_S)
         self._count = 0
         self._at_s = at_s
         self._mean = mean.copy()
-        self._begin_epoch()
+        self._open_epoch()
         spread = covariance[np.ix_(_ORDER, _ORDER)]
         place, velocity = (gtsam.noiseModel.Gaussian.Covariance(spread[k : k + 2, k : k + 2]) for k in (0, 2))
         self._graph.add(gtsam.PriorFactorPoint2(self._place_key(), mean[[0, 2]], place))
         self._graph.add(gtsam.PriorFactorPoint2(self._velocity_key(), mean[[1, 3]], velocity))
         self._finish_epoch()
 
-    def take_range(self, place_m: FloatArray, covariance_m2: FloatArray, m: RangeMeasurement) -> None:
+    def add_range(self, place_m: FloatArray, covariance_m2: FloatArray, m: RangeMeasurement) -> None:
         """Add a range factor; the epoch before is solved when a range of a new one comes."""
         if m.measured_at_s > self._at_s:
             self._finish_epoch()
@@ -46,7 +46,7 @@ class GtsamSmoother(RangePeer):
             self._at_s = m.measured_at_s
             self._count += 1
             self._mean = transition(step_s, 2) @ self._mean
-            self._begin_epoch()
+            self._open_epoch()
             keys = (*before, self._place_key(), self._velocity_key())
             Q = white_acceleration_noise(step_s, DENSITY_M2PS3, 2)[np.ix_(_ORDER, _ORDER)]
             self._graph.add(gtsam.CustomFactor(gtsam.noiseModel.Gaussian.Covariance(Q), keys, _Motion(step_s)))
@@ -67,7 +67,7 @@ class GtsamSmoother(RangePeer):
         P[np.ix_([1, 3], [1, 3])] = isam.marginalCovariance(self._velocity_key())
         return predicted(self._mean, P, at_s - self._at_s)
 
-    def _begin_epoch(self) -> None:
+    def _open_epoch(self) -> None:
         self._graph = gtsam.NonlinearFactorGraph()
         self._values = gtsam.Values()
         self._values.insert(self._place_key(), self._mean[[0, 2]])

@@ -31,11 +31,11 @@ class RangePeer(ABC):
         self._denied_vehicle: int | None = None
 
     @abstractmethod
-    def begin(self, mean: FloatArray, covariance: FloatArray, at_s: float) -> None:
+    def initialise(self, mean: FloatArray, covariance: FloatArray, at_s: float) -> None:
         """Start from a state (4,) and its covariance (4, 4)."""
 
     @abstractmethod
-    def take_range(self, place_m: FloatArray, covariance_m2: FloatArray, m: RangeMeasurement) -> None:
+    def add_range(self, place_m: FloatArray, covariance_m2: FloatArray, m: RangeMeasurement) -> None:
         """Take a range to a neighbour at a place (2,) with covariance (2, 2), at its own time."""
 
     @abstractmethod
@@ -46,7 +46,7 @@ class RangePeer(ABC):
         """Locate one vehicle from now on, from where its own filter has it."""
         (self._denied_vehicle,) = denied
         filtered = self._neighbour(self._denied_vehicle, at_s)
-        self.begin(filtered.x[:, 0], filtered.P, at_s)
+        self.initialise(filtered.x[:, 0], filtered.P, at_s)
 
     def add(self, measurement: Measurement) -> None:
         """Take one measurement: positions of neighbours and ranges of the denied vehicle; heights mean nothing in a plane."""
@@ -59,7 +59,7 @@ class RangePeer(ABC):
             self._neighbour(measurement.vehicle, t).update(place[:, np.newaxis])
         elif isinstance(measurement, RangeMeasurement):
             neighbour = self._neighbour(measurement.to_vehicle, t)
-            self.take_range(neighbour.x[_PLACE, 0], neighbour.P[np.ix_(_PLACE, _PLACE)], measurement)
+            self.add_range(neighbour.x[_PLACE, 0], neighbour.P[np.ix_(_PLACE, _PLACE)], measurement)
 
     def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
         """Answer where the denied vehicle is."""
@@ -79,13 +79,13 @@ class RangePeer(ABC):
 class FilterpyEkf(RangePeer):
     """filterpy.kalman.ExtendedKalmanFilter."""
 
-    def begin(self, mean: FloatArray, covariance: FloatArray, at_s: float) -> None:
+    def initialise(self, mean: FloatArray, covariance: FloatArray, at_s: float) -> None:
         """Start the filter."""
         self._at_s = at_s
         self._filter = ExtendedKalmanFilter(dim_x=4, dim_z=1)
         self._filter.x, self._filter.P = mean.copy(), covariance.copy()
 
-    def take_range(self, place_m: FloatArray, covariance_m2: FloatArray, m: RangeMeasurement) -> None:
+    def add_range(self, place_m: FloatArray, covariance_m2: FloatArray, m: RangeMeasurement) -> None:
         """Predict to the range and correct with it."""
         if m.measured_at_s > self._at_s:
             self._filter.F = transition(m.measured_at_s - self._at_s, 2)
@@ -107,7 +107,7 @@ class FilterpyEkf(RangePeer):
 class FilterpyUkf(RangePeer):
     """filterpy.kalman.UnscentedKalmanFilter."""
 
-    def begin(self, mean: FloatArray, covariance: FloatArray, at_s: float) -> None:
+    def initialise(self, mean: FloatArray, covariance: FloatArray, at_s: float) -> None:
         """Start the filter."""
         self._at_s = at_s
         self._place_m = mean[_PLACE]
@@ -119,7 +119,7 @@ class FilterpyUkf(RangePeer):
     def _distance(self, x: FloatArray) -> FloatArray:
         return np.array([math.hypot(x[0] - self._place_m[0], x[2] - self._place_m[1])])
 
-    def take_range(self, place_m: FloatArray, covariance_m2: FloatArray, m: RangeMeasurement) -> None:
+    def add_range(self, place_m: FloatArray, covariance_m2: FloatArray, m: RangeMeasurement) -> None:
         """Predict to the range and correct with it; of ranges at one time the sigma points are drawn anew for each."""
         f = self._filter
         step_s = m.measured_at_s - self._at_s

@@ -54,8 +54,8 @@ class Run:
     cpu_us: float
 
 
-def take(recording: Recording, estimator: Locator) -> Run:
-    """Take an estimator through a recording."""
+def run_estimator(recording: Recording, estimator: Locator) -> Run:
+    """Run an estimator over a recording."""
     denied = sorted(recording.truth_m)
     answers: dict[int, list[Estimate | NoEstimate]] = {v: [] for v in denied}
     asked = recording.asked_s.tolist()
@@ -92,7 +92,7 @@ def _track(asked_s: FloatArray, truth_m: FloatArray, answers: Sequence[Estimate 
 def fleet_through(task: tuple[Case, int]) -> Run:
     """Run the fleet filter with its default settings through one draw (case, seed)."""
     case, seed = task
-    return take(record(case, seed), load_estimator("fleet", {}))
+    return run_estimator(record(case, seed), load_estimator("fleet", {}))
 
 
 def on_all_cores(what: str, function: Callable[[Task], Result], tasks: Sequence[Task]) -> list[Result]:

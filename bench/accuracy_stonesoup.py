@@ -42,14 +42,14 @@ class _RangeOnly(NonLinearGaussianMeasurement):  # type: ignore[misc] # it has n
 class StoneSoupEkf(RangePeer):
     """stonesoup.updater.kalman.ExtendedKalmanUpdater with a constant-velocity transition model."""
 
-    def begin(self, mean: FloatArray, covariance: FloatArray, at_s: float) -> None:
+    def initialise(self, mean: FloatArray, covariance: FloatArray, at_s: float) -> None:
         """Start the filter."""
         motion = CombinedLinearGaussianTransitionModel([ConstantVelocity(DENSITY_M2PS3), ConstantVelocity(DENSITY_M2PS3)])
         self._predictor = ExtendedKalmanPredictor(motion)
         self._updater = ExtendedKalmanUpdater(None)
         self._state = GaussianState(StateVector(mean), CovarianceMatrix(covariance), timestamp=_time(at_s))
 
-    def take_range(self, place_m: FloatArray, covariance_m2: FloatArray, m: RangeMeasurement) -> None:
+    def add_range(self, place_m: FloatArray, covariance_m2: FloatArray, m: RangeMeasurement) -> None:
         """Predict to the range and correct with it."""
         prediction = self._predictor.predict(self._state, timestamp=_time(m.measured_at_s))
         away = np.asarray(prediction.state_vector[[0, 2], 0], dtype=float) - place_m

@@ -26,8 +26,8 @@ class Flight:
         self._encoder = Encoder()
         self.engine.receive(ClockReference(0.0, _UNIX_S))
 
-    def take(self, datagrams: Iterable[Sent]) -> None:
-        """Take datagrams in order of time, and answer every deadline in between."""
+    def fly(self, datagrams: Iterable[Sent]) -> None:
+        """Receive datagrams in order of time, and answer every deadline in between."""
         for at_s, sysid, payload in datagrams:
             self.advance(at_s)
             self.receive(at_s, sysid, payload)

@@ -47,7 +47,7 @@ def measure(quick: bool) -> list[Figure]:
     return [
         figure,
         Figure("latency", "its floor", floor, "", None),
-        where_it_goes("latency", again, lambda process: process.wait(), within=_take.__name__),
+        where_it_goes("latency", again, lambda process: process.wait(), within=_receive.__name__),
     ]
 
 
@@ -64,13 +64,13 @@ def _spent_us(seconds: float, also: Callable[[], float] = lambda: 0.0) -> FloatA
         # What waits to be used is of the datagrams before.
         flight.engine.estimator.drain_residuals()
         also_before, began_ns = also(), time.process_time_ns()
-        reached_filter_ns = _take(flight, datagram)
+        reached_filter_ns = _receive(flight, datagram)
         ended_ns = time.process_time_ns()
         spent_us.append(((ended_ns - began_ns) / 1e3, (reached_filter_ns - began_ns) / 1e3, also() - also_before))
     return np.array(spent_us)
 
 
-def _take(flight: Flight, datagram: Sent) -> int:
+def _receive(flight: Flight, datagram: Sent) -> int:
     flight.receive(*datagram)
     reached_filter_ns = time.process_time_ns()
     flight.engine.estimator.drain_residuals()

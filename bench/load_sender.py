@@ -70,7 +70,7 @@ def main() -> None:
     for at_s, number, sysid, payload in heapq.merge(*timetable):
         while start_s + at_s > (now_s := time.monotonic()):
             for descriptor, _ in listening.poll(min(start_s + at_s - now_s, _TICK_S)):
-                _take(*of_descriptor[descriptor], measuring=now_s >= began_s)
+                _receive(*of_descriptor[descriptor], measuring=now_s >= began_s)
         if now_s >= end_s:
             break
         fleet = fleets[number]
@@ -92,7 +92,7 @@ def _timetable(traffic: list[Sent], phase_s: float, number: int, lead_s: float) 
         yield sent.at_s + phase_s - (lead_s if n == 0 else 0.0), fleet, sent.sysid, sent.payload
 
 
-def _take(ready: socket.socket, fleet: _Fleet, is_out: bool, *, measuring: bool) -> None:
+def _receive(ready: socket.socket, fleet: _Fleet, is_out: bool, *, measuring: bool) -> None:
     data, control, _, _ = ready.recvmsg(4096, 64)
     at_s = arrived_at_s(control)
     if is_out:

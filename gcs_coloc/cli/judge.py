@@ -17,7 +17,7 @@ from rich.table import Table
 
 from gcs_coloc.cli.recordings import EstimatorOption, FleetOption, settings_for
 from gcs_coloc.cli.task_options import JobsOption, SchedulerOption, workers_for
-from gcs_coloc.recorder.judging.comparison import FIGURES, Aspect, FigureChange, Tolerance, Verdict, compare
+from gcs_coloc.recorder.judging.comparison import FIGURES, Aspect, ChangeOutcome, FigureChange, Tolerance, compare
 from gcs_coloc.recorder.judging.judge_run import judge as judge_all
 from gcs_coloc.recorder.judging.judge_run import judged_with, read_baseline, write_baseline
 from gcs_coloc.recorder.judging.judged_flight import JudgedFlight
@@ -94,7 +94,7 @@ def judge(
     path.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     for file in filter(None, (path, write)):
         print(f"written: {file}")
-    if any(change.verdict is Verdict.WORSE for change in changes):
+    if any(change.outcome is ChangeOutcome.WORSE for change in changes):
         raise typer.Exit(_WORSE)
 
 
@@ -122,7 +122,7 @@ def _changes_table(changes: Sequence[FigureChange]) -> Table:
     table = Table("recording", "vehicle", "about", "what", "before", "now", "")
     for change in changes:
         values = (_shown(value, is_share=change.is_share) for value in (change.before, change.now))
-        table.add_row(change.recording, change.vehicle, change.aspect.value, change.text, *values, change.verdict.value)
+        table.add_row(change.recording, change.vehicle, change.aspect.value, change.text, *values, change.outcome.value)
     return table
 
 
@@ -144,8 +144,8 @@ def _comparison(its: dict[str, str], here: dict[str, str], changes: Sequence[Fig
     ]
     if its.get("estimator") == here["estimator"] and its.get("plug_in", "") != here["plug_in"]:
         differing.append("another state of the estimator's file")
-    counts = Counter(change.verdict for change in changes)
-    told = ", ".join(f"{counts[verdict]} {verdict.value}" for verdict in Verdict)
+    counts = Counter(change.outcome for change in changes)
+    told = ", ".join(f"{counts[outcome]} {outcome.value}" for outcome in ChangeOutcome)
     aspects = ", ".join(aspect.value for aspect in Aspect if any(change.aspect is aspect for change in changes))
     whose = f" ({'; '.join(differing)})" if differing else ""
     of_what = f" ({aspects})" if aspects else ""

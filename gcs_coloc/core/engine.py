@@ -129,7 +129,7 @@ class Engine:
             # The first message sets the schedule of deadlines, so that a recording of the messages holds it.
             self._review_due_s = at_s
             self._review_schedule = TickSchedule(at_s)
-            self.aiding.begin(self._review_schedule)
+            self.aiding.set_schedule(self._review_schedule)
         if isinstance(message, ControlInput):
             self._control(message)
             return

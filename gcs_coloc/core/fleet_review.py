@@ -113,7 +113,7 @@ class FleetReview:
             range_sigma_m=self._stages.measurements.range_sigma_m(sysid),
             median_nis=self._median_nis.get(sysid),
             range_jump_m=self._jumps_m.get(sysid),
-            ranges=self._stages.vetted.take(sysid),
+            ranges=self._stages.vetted.drain(sysid),
             locate_node=self.estimate,
             boot_s=lambda at_s: clock.from_service(at_s, now_s),
         )

@@ -243,7 +243,7 @@ def is_possible(measurement: Measurement) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Residual:
-    """What an estimator made of one range (or one fix, `to_vehicle` None): innovation, its sigma, and the verdict.
+    """What an estimator made of one range (or one fix, `to_vehicle` None): innovation, its sigma, and whether it was used.
 
     `nis` is the normalised innovation squared with `degrees_of_freedom`. `refused` is the reason in words, `None` where it
     was used.

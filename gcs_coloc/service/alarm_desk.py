@@ -31,26 +31,26 @@ class AlarmDesk:
 
     def update(self, fleet: FleetSnapshot) -> tuple[Alarm, ...]:
         """Bring the alarms up to date with how the fleet stands, and return those in the list."""
-        self._tell(self._alarms.update(fleet))
+        self._publish(self._alarms.update(fleet))
         return tuple(self._alarms)
 
     def acknowledge(self, alarm_id: int) -> bool:
         """Acknowledge an alarm; False where none of that id waits for it."""
         changed = self._alarms.acknowledge(alarm_id, self._clock())
-        self._tell(changed)
+        self._publish(changed)
         return bool(changed)
 
     def publish(self, message: ToOperator) -> None:
         """Publish what the operator is to know; a notice is an alarm, too, where it is serious."""
         self._events.publish(message)
         if isinstance(message, Notice):
-            self._tell(self._alarms.add_notice(message))
+            self._publish(self._alarms.add_notice(message))
 
     def pop_status_texts(self, now_s: float) -> list[StatusText]:
         """Return what ground tools are to be told in the second from service time `now_s` (s)."""
         return self._status_texts.pop_due(now_s) if self._status_texts is not None else []
 
-    def _tell(self, changed: Iterable[Alarm]) -> None:
+    def _publish(self, changed: Iterable[Alarm]) -> None:
         for alarm in changed:
             self._events.publish(alarm)
             self._record(alarm)

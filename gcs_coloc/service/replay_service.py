@@ -41,7 +41,7 @@ class ReplayService:
         table_ranges = read_ranges(ranges) if ranges is not None else []
         true_positions = TruthTable(read_truth(truth) if truth is not None else [])
 
-        def begin(on_poll: OnPoll) -> Replay:
+        def make_replay(on_poll: OnPoll) -> Replay:
             engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
             return Replay(engine, TlogReader(file), table_ranges, on_poll, own, settings.fingerprint())
 
@@ -49,7 +49,7 @@ class ReplayService:
             store = PictureStore(*TlogReader(file).span())
         except OSError as error:
             raise DataError(f"no file can be made in the directory for temporary files: {error.strerror}; set TMPDIR") from None
-        self._pass = ReplayPass(begin, true_positions.at, store)
+        self._pass = ReplayPass(make_replay, true_positions.at, store)
         playback = Playback(store, speed)
         web = settings.web.model_copy(update={"token_file": ""})
         self._web = WebServer(web, playback, Pages(playback, IdleScheduler(), PICTURE_PERIOD_S), must_serve=True)

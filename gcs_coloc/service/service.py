@@ -117,7 +117,7 @@ class Service:
                 self.stop()
 
         (fleet,) = self._fleets
-        return [end_with_it(), supervisor.tell(fleet.report, fleet.path.idle.every(REPORT_EVERY_S))]
+        return [end_with_it(), supervisor.send_reports(fleet.report, fleet.path.idle.every(REPORT_EVERY_S))]
 
 
 class _Observed:

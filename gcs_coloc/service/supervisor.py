@@ -68,7 +68,7 @@ class Supervisor:
         for name in self._workers:
             self._watched.receive_connection(name, name, None, time.monotonic())
         workers = [asyncio.create_task(worker.run()) for worker in self._workers.values()]
-        looking = asyncio.create_task(self._look())
+        looking = asyncio.create_task(self._report_silent())
         serving = [asyncio.create_task(web.run())] if web is not None else []
         try:
             await self._stopping.wait()
@@ -106,8 +106,8 @@ class Supervisor:
         said = Presence.ENDED if self._stopping.is_set() else Presence.LOST
         self._watched.receive_connection(name, name, said, time.monotonic())
 
-    async def _look(self) -> None:
-        """Tell of workers that run and say nothing."""
+    async def _report_silent(self) -> None:
+        """Log workers that run and say nothing."""
         while True:
             await asyncio.sleep(_LOOK_EVERY_S)
             silent = {fleet.name: fleet.text for fleet in self.shown() if fleet.presence is Presence.STALE}

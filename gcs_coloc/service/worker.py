@@ -129,13 +129,13 @@ class Worker:
         reader, writer = await asyncio.open_connection(sock=ours, limit=MAX_REPORT_BYTES)
         try:
             while line := await reader.readline():
-                self._take(line)
+                self._receive(line)
         except (ConnectionError, ValueError) as error:
             log.error("fleet %s: its process is not heard any more: %s", self.name, error)
         finally:
             writer.close()
 
-    def _take(self, line: bytes) -> None:
+    def _receive(self, line: bytes) -> None:
         try:
             report = WorkerReport.model_validate_json(line)
         except ValidationError as error:

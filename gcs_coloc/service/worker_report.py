@@ -48,7 +48,7 @@ class SupervisorLink:
         except ConnectionError:
             pass
 
-    async def tell(self, report: Callable[[], WorkerReport], slots: AsyncIterator[None]) -> None:
+    async def send_reports(self, report: Callable[[], WorkerReport], slots: AsyncIterator[None]) -> None:
         """Send a report in each slot; one that the supervisor is too slow for is left out, and nothing ever waits for it."""
         async for _ in slots:
             writer = self._writer

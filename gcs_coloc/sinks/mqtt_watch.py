@@ -92,7 +92,7 @@ class MqttWatch:
 
     def receive(self, topic: str, payload: bytes) -> None:
         """Take one message, or count why it is refused. Never raises for its content."""
-        refusal = self._take(topic, payload)
+        refusal = self._receive(topic, payload)
         if refusal is not None:
             self.counts.add(refusal)
             self._warn(topic)
@@ -106,7 +106,7 @@ class MqttWatch:
             async for message in client.messages:
                 self.receive(message.topic.value, message.payload if isinstance(message.payload, bytes) else b"")
 
-    def _take(self, topic: str, payload: bytes) -> WatchRefusal | None:
+    def _receive(self, topic: str, payload: bytes) -> WatchRefusal | None:
         source, _, what = topic.rpartition("/")
         name = source.rpartition("/")[2]
         if not payload:

@@ -153,12 +153,12 @@ class ReplayPass:
     """Replays a recording once and fills a `PictureStore`. `run` is for a thread of its own; `stop` ends it early."""
 
     def __init__(
-        self, begin: Callable[[OnPoll], Replay], truths_at: Callable[[float], dict[int, HeardTruth]], store: PictureStore
+        self, make_replay: Callable[[OnPoll], Replay], truths_at: Callable[[float], dict[int, HeardTruth]], store: PictureStore
     ) -> None:
         """Read up to the first message.
 
         Args:
-            begin: makes the replay at its beginning, with a fresh engine, which calls the function given at each deadline.
+            make_replay: makes the replay at its beginning, with a fresh engine, which calls the function given at each deadline.
             truths_at: true positions beside the recording at a time (UNIX s), by system id.
             store: where everything goes.
 
@@ -172,7 +172,7 @@ class ReplayPass:
         self._counts = b""
         self._counts_due_s = float("-inf")
         self._stopped = threading.Event()
-        self._replay = begin(self._add_events)
+        self._replay = make_replay(self._add_events)
 
     @property
     def damage(self) -> Counts:

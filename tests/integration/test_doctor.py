@@ -83,7 +83,7 @@ def test_a_wrong_set_up_is_told_parameter_by_parameter_and_is_right_when_they_ar
     assert not any(line.startswith("  STOP") for line in lines)
 
 
-def test_positions_that_come_too_slowly_are_told_with_the_parameter_that_mends_it(tmp_path, free_port, monkeypatch):
+def test_positions_that_come_too_slowly_are_told_with_the_parameter_that_remedies_it(tmp_path, free_port, monkeypatch):
     """Where the service is not to ask for rates, those of the vehicle's port count."""
     coarse = {"EK3_GPS_CHECK": 19}
     monkeypatch.setenv("GCS_COLOC_FLEET__REQUEST_STREAMS", "false")

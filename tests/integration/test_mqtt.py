@@ -179,7 +179,7 @@ def test_a_broker_that_hangs_is_told_and_not_again_and_again(start_with_broker, 
     assert all("trying again, the flight goes on without it" in line for line in told)
 
 
-def test_commands_are_obeyed_only_where_they_are_allowed(start_with_broker, observe, free_port):
+def test_commands_are_applied_only_where_they_are_allowed(start_with_broker, observe, free_port):
     service = start_with_broker()
     operator = observe()
     with square_fleet(free_port) as fleet:

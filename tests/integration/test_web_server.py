@@ -78,7 +78,7 @@ def ask(port: int, path: str, body: bytes | None = None, **headers: str) -> tupl
             return error.code, error.read().decode()
 
 
-def test_a_command_is_obeyed_with_the_token_only(start_service, free_port, web_port, with_token):
+def test_a_command_is_applied_with_the_token_only(start_service, free_port, web_port, with_token):
     start_service("--config", with_token, "--udp", f"127.0.0.1:{free_port}", "--web", f"127.0.0.1:{web_port}")
     wait_until_served(web_port)
     right = {"Authorization": f"Bearer {TOKEN}"}

@@ -18,51 +18,86 @@ PRIVATE_WORDS = frozenset(
     [
         "accused",
         "acquit",
+        "acquits",
         "acquitted",
         "captive",
+        "captives",
         "claim",
         "claims",
+        "distrusts",
         "doubt",
         "doubted",
         "faded",
         "fear",
+        "feared",
+        "fears",
         "foresee",
         "foreseen",
+        "foresees",
         "glance",
+        "glances",
         "hindrance",
+        "hindrances",
         "hub",
+        "hubs",
         "intake",
+        "intakes",
         "jolt",
+        "jolted",
+        "jolts",
         "liar",
         "liars",
         "lie",
         "lies",
         "lookout",
+        "lookouts",
         "lull",
         "lulls",
         "mend",
+        "mended",
+        "mends",
         "misfit",
+        "misfits",
         "misplaced",
         "news",
         "obey",
+        "obeyed",
+        "obeys",
         "remark",
         "retell",
         "scene",
         "scenes",
-        "story",
         "stories",
+        "story",
         "subject",
         "subjects",
         "tale",
+        "tales",
         "thaw",
+        "thawed",
+        "thaws",
+        "tidied",
         "tidy",
         "twin",
         "twins",
         "uptake",
+        "uptakes",
+        "verdict",
+        "verdicts",
         "withheld",
+        "withholds",
     ]
 )
 """Words that version 0.1 used for things that have a name in the field; docs/glossary.md has that."""
+
+VAGUE_VERBS = frozenset(["ask", "begin", "distrust", "give", "look", "say", "settle", "settled", "take", "tell"])
+"""As the whole name of a function they leave open what it does: request, initialise, publish, drain, ... say it."""
+OTHERS_VERBS = {
+    "gcs_coloc/core/integrity/reacquisition.py": {"_begin"},
+    "gcs_coloc/recorder/formats/mcap_file.py": {"tell"},
+    "gcs_coloc/runtime/tasks.py": {"_begin"},
+}
+"""What a file of Python has to be called, and two private functions that are still to be renamed."""
 
 
 def relative(path: Path) -> str:
@@ -125,6 +160,13 @@ def test_no_public_class_name_stands_twice():
 @pytest.mark.parametrize("path", MODULES + OTHERS, ids=relative)
 def test_no_name_is_a_private_word(path):
     assert {name for name in names_of(path) if words(name) & PRIVATE_WORDS} == set()
+
+
+@pytest.mark.parametrize("path", [path for path in MODULES + OTHERS if not relative(path).startswith("tests")], ids=relative)
+def test_no_function_is_named_by_a_vague_verb_alone(path):
+    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    names = {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)}
+    assert {name for name in names if name.strip("_") in VAGUE_VERBS} == OTHERS_VERBS.get(relative(path), set())
 
 
 def stems(name: str) -> set[str]:

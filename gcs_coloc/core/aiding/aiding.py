@@ -60,7 +60,7 @@ class Aiding:
         self._next_due_s = float("inf")
         self._alarms = InhibitAlarms()
 
-    def begin(self, schedule: TickSchedule) -> None:
+    def set_schedule(self, schedule: TickSchedule) -> None:
         """Set the times that streams keep."""
         self._tick_schedule = schedule
 
@@ -69,7 +69,7 @@ class Aiding:
         self._transmits = False
 
     def hold_back(self, *, held: bool) -> None:
-        """Decide and build as ever, but begin no switch while what is built is `held` back: the other service sends.
+        """Decide and build as ever, but start no switch while what is built is `held` back: the other service sends.
 
         What a vehicle is sent and makes of it is then told by the other service.
         """
@@ -127,7 +127,7 @@ class Aiding:
             out.extend(self._end(sysid, stream, inhibit, gps_state, now_s))
             stream = None
         if stream is None and purpose is not None and inhibit is None:
-            stream = self._streams[sysid] = self._begin(vehicle, name, purpose, now_s)
+            stream = self._streams[sysid] = self._open_stream(vehicle, name, purpose, now_s)
             self._update_due()
         elif stream is not None and purpose is not None:
             stream.set_purpose(purpose, now_s)
@@ -261,7 +261,7 @@ class Aiding:
         # Read with every datagram, it changes with every message that is sent.
         self._next_due_s = min((stream.due_s for stream in self._streams.values()), default=float("inf"))
 
-    def _begin(self, vehicle: ReportedState, name: AidingMethodName, purpose: Purpose, now_s: float) -> AidingStream:
+    def _open_stream(self, vehicle: ReportedState, name: AidingMethodName, purpose: Purpose, now_s: float) -> AidingStream:
         context = MethodContext(
             vehicle.sysid, vehicle.first_heard_s, self._settings, self._parameters, self.refused, self._px4.origins
         )

@@ -24,7 +24,7 @@ class VettedRange(NamedTuple):
 
 
 class VettedRanges:
-    """The vetted ranges that nobody has taken yet, of the vehicles that `wants` them by their system ids."""
+    """The vetted ranges that nobody has got yet, of the vehicles that `wants` them by their system ids."""
 
     def __init__(self, wants: Callable[[int], bool]) -> None:
         self._wants = wants
@@ -53,6 +53,6 @@ class VettedRanges:
                     ready.append(VettedRange(peer, m.measured_at_s, m.range_m, m.sigma_m))
                     del ready[:-_MAX_READY]
 
-    def take(self, vehicle: int) -> tuple[VettedRange, ...]:
+    def drain(self, vehicle: int) -> tuple[VettedRange, ...]:
         """Return the vetted ranges of a vehicle since the last call."""
         return tuple(self._ready.pop(vehicle, ()))

@@ -72,7 +72,7 @@ def calibrate_air_data(record: VehicleRecord, report: PositionMeasurement, s: Fl
     if attitude is None or airspeed_mps is None or at_s - attitude.measured_at_s > s.attitude_fresh_s:
         return
     yaw_rad = attitude.yaw_rad + turn_rate_radps(attitude.roll_rad, airspeed_mps) * (at_s - attitude.measured_at_s)
-    before = last[0] if last else AirCalibration.begin(at_s, s)
+    before = last[0] if last else AirCalibration.initial(at_s, s)
     ground = GroundVelocity(*report.velocity_enu_mps[:2], report.sigma_velocity_mps)
     record.air_calibrations = (*last, before.updated(at_s, ground, airspeed_mps * math.cos(attitude.pitch_rad), yaw_rad, s))
 

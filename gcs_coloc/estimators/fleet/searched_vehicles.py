@@ -86,10 +86,10 @@ def search_with_range(
         record.search, record.no_estimate_reason = None, Unlocated(NoEstimateReason.CONTRADICTORY)
         return Outcome.KEPT_INITIALISING
     record.neighbours[other] = Neighbour(at_s, (0.0, 0.0, 0.0), pair_key(vehicle, other, m.device_id), math.inf)
-    settled = search.settled(m.range_m, math.sqrt(m.sigma_m**2 + float(np.trace(there[1])) / 3.0))
-    if settled is None:
+    place = search.narrow_place(m.range_m, math.sqrt(m.sigma_m**2 + float(np.trace(there[1])) / 3.0))
+    if place is None:
         return Outcome.SEARCHING
-    clusters.initialise(vehicle, *settled, at_s)
+    clusters.initialise(vehicle, *place, at_s)
     record.search, record.cusum, record.unresolved_outlier, record.attitude = None, 0.0, None, None
     record.manoeuvre = ManoeuvreDetector()
     record.range_noise_inflation_m2, record.updated_at_s = 0.0, at_s

@@ -21,7 +21,7 @@ class Aspect(StrEnum):
     RECORDING = "recording"
 
 
-class Verdict(StrEnum):
+class ChangeOutcome(StrEnum):
     """What a change is."""
 
     WORSE = "worse"
@@ -91,7 +91,7 @@ class FigureChange:
     text: str
     before: float | None
     now: float | None
-    verdict: Verdict
+    outcome: ChangeOutcome
     is_share: bool = False
 
 
@@ -109,20 +109,20 @@ def compare(
         changes += _of_flight(old, flight, tolerance)
     for name in sorted(known):
         if name.partition("/")[0] in directories:
-            changes.append(_whole(name, "is missing", Verdict.WORSE))
+            changes.append(_whole(name, "is missing", ChangeOutcome.WORSE))
     return changes
 
 
 def _of_flight(old: JudgedFlight | None, new: JudgedFlight, tolerance: Tolerance) -> Iterator[FigureChange]:
     if old is None:
-        yield _whole(new.name, "is not in the baseline", Verdict.CHANGED)
+        yield _whole(new.name, "is not in the baseline", ChangeOutcome.CHANGED)
     elif new.digest != old.digest:
-        yield _whole(new.name, "is another file, or has other tables, than in the baseline: not compared", Verdict.CHANGED)
+        yield _whole(new.name, "is another file, or has other tables, than in the baseline: not compared", ChangeOutcome.CHANGED)
     elif new.error or old.error:
         if new.error and not old.error:
-            yield _whole(new.name, f"can no longer be read: {new.error}", Verdict.WORSE)
+            yield _whole(new.name, f"can no longer be read: {new.error}", ChangeOutcome.WORSE)
         elif not new.error:
-            yield _whole(new.name, "could not be read", Verdict.BETTER)
+            yield _whole(new.name, "could not be read", ChangeOutcome.BETTER)
     else:
         for vehicle in sorted({*old.vehicles, *new.vehicles}, key=lambda text: (len(text), text)):
             yield from _of_vehicle(new.name, vehicle, old.vehicles.get(vehicle, {}), new.vehicles.get(vehicle, {}), tolerance)
@@ -133,26 +133,26 @@ def _of_vehicle(name: str, vehicle: str, old: Figures, new: Figures, tolerance: 
         before, now = old.get(key), new.get(key)
         if kind.aspect is Aspect.ALARMS:
             before, now = before or 0.0, now or 0.0
-        verdict = _verdict(kind, before, now, tolerance)
-        if verdict is not None:
-            yield FigureChange(name, vehicle, kind.aspect, kind.text, before, now, verdict, kind.is_share)
+        outcome = _outcome(kind, before, now, tolerance)
+        if outcome is not None:
+            yield FigureChange(name, vehicle, kind.aspect, kind.text, before, now, outcome, kind.is_share)
 
 
-def _verdict(kind: FigureKind, before: float | None, now: float | None, tolerance: Tolerance) -> Verdict | None:
+def _outcome(kind: FigureKind, before: float | None, now: float | None, tolerance: Tolerance) -> ChangeOutcome | None:
     """Return what a change is; None where there is none beyond the tolerance."""
     if before is None or now is None:
         if before is now:
             return None
-        return Verdict.WORSE if now is None and kind.good is not Good.UNKNOWN else Verdict.CHANGED
+        return ChangeOutcome.WORSE if now is None and kind.good is not Good.UNKNOWN else ChangeOutcome.CHANGED
     allowed = tolerance.share if kind.is_share else max(tolerance.relative * abs(before), tolerance.least)
     if abs(now - before) <= allowed:
         return None
     if kind.good is Good.UNKNOWN:
-        return Verdict.CHANGED
+        return ChangeOutcome.CHANGED
     if kind.aspect is Aspect.ALARMS and now == 0.0:
-        return Verdict.WORSE  # what somebody was warned of is passed over now
-    return Verdict.BETTER if (now < before) == (kind.good is Good.LESS) else Verdict.WORSE
+        return ChangeOutcome.WORSE  # what somebody was warned of is passed over now
+    return ChangeOutcome.BETTER if (now < before) == (kind.good is Good.LESS) else ChangeOutcome.WORSE
 
 
-def _whole(name: str, text: str, verdict: Verdict) -> FigureChange:
-    return FigureChange(name, "", Aspect.RECORDING, text, None, None, verdict)
+def _whole(name: str, text: str, outcome: ChangeOutcome) -> FigureChange:
+    return FigureChange(name, "", Aspect.RECORDING, text, None, None, outcome)

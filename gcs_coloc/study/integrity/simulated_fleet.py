@@ -97,7 +97,7 @@ class SimulatedFleet:
         self._pairs = self._draw_pairs()
         self._heap: list[tuple[float, int, Callable[[float], None] | Inbound]] = []
         self._ties = count()
-        self._begin()
+        self._push_first_events()
 
     def truth_m(self, sysid: int, at_s: float) -> Vector3:
         """Return the true position of a vehicle, m in `frame`."""
@@ -193,7 +193,7 @@ class SimulatedFleet:
     def _push(self, at_s: float, event: Callable[[float], None] | Inbound) -> None:
         heapq.heappush(self._heap, (at_s, next(self._ties), event))
 
-    def _begin(self) -> None:
+    def _push_first_events(self) -> None:
         rng, drawn = self._rng, self.drawn
         self._push(self.duration_s + _STEP_BEYOND_S, lambda _: None)
         self._push(drawn.backlog_s, ClockReference(drawn.backlog_s, UNIX_EPOCH_S))

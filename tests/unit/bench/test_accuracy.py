@@ -7,7 +7,7 @@ from bench import accuracy_model
 from bench.accuracy_flights import RANGE_SIGMA_M, Case, Links, record
 from bench.accuracy_model import ModelCase, bounds_rms_m, draw
 from bench.accuracy_peers import FilterpyEkf, FilterpyUkf, installed
-from bench.accuracy_runs import anees, band_95, rmse_m, take
+from bench.accuracy_runs import anees, band_95, rmse_m, run_estimator
 from gcs_coloc.core.measurements import PositionMeasurement, RangeMeasurement
 from gcs_coloc.estimators.fleet.ekf._kernels import Transition
 from gcs_coloc.estimators.fleet.ekf.state import SIZE
@@ -78,7 +78,7 @@ def test_failed_vehicles_range_each_other_once_and_only_where_asked():
 
 def test_peers_agree_where_ranges_are_long():
     recording = record(Case(rate_hz=5.0, duration_s=30.0), 2)
-    ekf, ukf = (take(recording, peer()).tracks[4] for peer in (FilterpyEkf, FilterpyUkf))
+    ekf, ukf = (run_estimator(recording, peer()).tracks[4] for peer in (FilterpyEkf, FilterpyUkf))
     np.testing.assert_allclose(ekf.error_m, ukf.error_m, atol=0.5)
     assert rmse_m([ekf]) < RANGE_SIGMA_M
     assert 0.1 < anees([ekf]) < band_95(1)[1]
@@ -89,7 +89,7 @@ def test_stone_soup_and_filterpy_are_the_same_filter():
     from bench.accuracy_stonesoup import StoneSoupEkf
 
     recording = record(TEN_SECONDS, 1)
-    ours, theirs = (take(recording, peer()).tracks[4] for peer in (FilterpyEkf, StoneSoupEkf))
+    ours, theirs = (run_estimator(recording, peer()).tracks[4] for peer in (FilterpyEkf, StoneSoupEkf))
     np.testing.assert_allclose(ours.error_m, theirs.error_m, atol=1e-5)
 
 
@@ -98,5 +98,5 @@ def test_the_smoother_is_near_the_filter():
     from bench.accuracy_gtsam import GtsamSmoother
 
     recording = record(TEN_SECONDS, 1)
-    filtered, smoothed = (take(recording, peer()).tracks[4] for peer in (FilterpyEkf, GtsamSmoother))
+    filtered, smoothed = (run_estimator(recording, peer()).tracks[4] for peer in (FilterpyEkf, GtsamSmoother))
     assert abs(rmse_m([filtered]) - rmse_m([smoothed])) < 1.0

@@ -90,7 +90,7 @@ def test_what_got_worse_is_named_and_ends_with_1(baseline: Path, year: Path, tmp
     assert ran.returncode == 1
     assert "(estimator fleet, now qu_zhang; settings " in ran.stdout
     changes = json.loads((tmp_path / "judge.json").read_text())["changes"]
-    worse = {(c["recording"], c["vehicle"], c["text"]) for c in changes if c["verdict"] == "worse"}
+    worse = {(c["recording"], c["vehicle"], c["text"]) for c in changes if c["outcome"] == "worse"}
     # The paper's filter has no protection level, so no fix is sent.
     assert ("year/june/flight.tlog", "4", "median protection level, m") in worse
     assert ("year/june/flight.tlog", "4", "sent a fix") in worse

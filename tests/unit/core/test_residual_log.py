@@ -13,7 +13,7 @@ def residual(at_s: float, innovation_m: float = 1.0, peer: int | None = 1, refus
     return Residual(4, peer, at_s, innovation_m, 1.0, innovation_m**2, 1, refused)
 
 
-def test_the_newest_range_of_each_pair_is_shown_with_its_age_and_verdict():
+def test_the_newest_range_of_each_pair_is_shown_with_its_age_and_whether_it_was_used():
     log = ResidualLog()
     log.add([residual(10.0), residual(10.2, -3.0, refused="gate"), residual(10.1), residual(10.1, peer=2)], 10.5)
     first, second = log.ranges(10.5)

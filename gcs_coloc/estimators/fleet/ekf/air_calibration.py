@@ -50,7 +50,7 @@ class AirCalibration:
     nis: float = 0.0
 
     @classmethod
-    def begin(cls, at_s: float, s: FleetSettings, airspeed_sigma_mps: float | None = None) -> AirCalibration:
+    def initial(cls, at_s: float, s: FleetSettings, airspeed_sigma_mps: float | None = None) -> AirCalibration:
         """Return what is known before any sample: the steady state of eq. (7); of the airspeed's error as told, if it is."""
         covariance = np.diag(steady_air_m2(s))
         if airspeed_sigma_mps is not None:

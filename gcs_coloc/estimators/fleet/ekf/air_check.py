@@ -94,7 +94,7 @@ class AirCheck:
             return replace(self, window=window)
         ground_east_m, ground_north_m = place.east_m - began.east_m, place.north_m - began.north_m
         ground = GroundVelocity(ground_east_m / span_s, ground_north_m / span_s, sigma_mps)
-        before = self.calibration or known or AirCalibration.begin(at_s, s)
+        before = self.calibration or known or AirCalibration.initial(at_s, s)
         after = before.updated(at_s, ground, math.hypot(*air_m) / span_s, math.atan2(*air_m), s)
         if after.nis <= (_SUSPICIOUS_NIS if before.samples >= _LEAST_SAMPLES else _MOST_NIS):
             return AirCheck(self.is_refused and not _is_right(after, s), after, window)
@@ -104,7 +104,7 @@ class AirCheck:
         return self._refused(window, s)
 
     def _refused(self, window: AirWindow, s: FleetSettings) -> AirCheck:
-        return AirCheck(True, AirCalibration.begin(window.at_s, s, _UNKNOWN_ERROR_MPS), window)
+        return AirCheck(True, AirCalibration.initial(window.at_s, s, _UNKNOWN_ERROR_MPS), window)
 
     def reflected(self) -> AirCheck:
         """Return it for a vehicle whose states were reflected: no way leads there."""

@@ -269,7 +269,7 @@ class PositionSearch:
         fit = np.einsum("ki,ki->k", d, np.linalg.solve(P[here, :3, :3], d[:, :, None])[:, :, 0])
         return (mean, covariance) if float(fit.min()) < GATE_NIS else None
 
-    def settled(self, distance_m: float, range_sigma_m: float) -> tuple[FloatArray, FloatArray] | None:
+    def narrow_place(self, distance_m: float, range_sigma_m: float) -> tuple[FloatArray, FloatArray] | None:
         """Return mean (16,) and covariance (16, 16) where the place is one, and narrow enough to linearise a range."""
         place = self.place()
         if place is None or self.is_open or sum(self.uses.values()) < _LEAST_RANGES:

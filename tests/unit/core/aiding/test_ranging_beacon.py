@@ -192,19 +192,19 @@ def test_only_what_the_estimator_used_of_trusted_nodes_is_vetted():
     ranges.add_range(measured(4, 1.0, vehicle=5))  # measured by the other end
     found = [residual(1, 1.0), residual(2, 1.0, "gate"), residual(3, 1.0), residual(4, 1.0, vehicle=5), residual(9, 1.0)]
     ranges.add_residuals(found, lambda node: node != 3)
-    assert [(one.peer, one.range_m) for one in ranges.take(4)] == [(1, 100.0), (5, 100.0)]
-    assert ranges.take(4) == ()
+    assert [(one.peer, one.range_m) for one in ranges.drain(4)] == [(1, 100.0), (5, 100.0)]
+    assert ranges.drain(4) == ()
 
 
 def test_nothing_is_kept_of_vehicles_that_want_none_and_little_of_those_that_take_none():
     ranges = VettedRanges(lambda sysid: sysid == 4)
     ranges.add_range(measured(1, 1.0, vehicle=5))
     ranges.add_residuals([residual(1, 1.0, vehicle=5)], lambda _: True)
-    assert ranges.take(5) == ()
+    assert ranges.drain(5) == ()
     for step in range(1000):
         ranges.add_range(measured(1, float(step)))
         ranges.add_residuals([residual(1, float(step))], lambda _: True)
-    assert len(ranges.take(4)) == 64
+    assert len(ranges.drain(4)) == 64
 
 
 def test_the_wire_has_millimetres_and_the_height_above_the_sea():

@@ -76,7 +76,7 @@ def test_a_silent_vehicle_is_asked_five_times_then_told_of_and_again_after_half_
     assert run(switch, aircraft, 30.0, 40.0, wanted=True)[1] == ["GPS_PRIMARY set to 1, our receiver; it was 0"]
 
 
-def test_a_set_that_nobody_confirmed_may_have_been_obeyed_and_is_restored():
+def test_a_set_that_nobody_confirmed_may_have_been_applied_and_is_restored():
     switch, aircraft = ReceiverSwitch(1), Aircraft()
     (request,) = switch.review(4, ARDUPILOT, 0.0, wanted=True)
     switch.add_answer(aircraft.answer(request, 0.1)[0])

@@ -24,7 +24,7 @@ def report(at_s: float, velocity_mps: np.ndarray, place_m=(0.0, 0.0)) -> Positio
 
 def calibrated(rng: np.random.Generator, truth: np.ndarray, noise_mps: float, samples: int) -> AirCalibration:
     """Fly circles of two minutes: each sample with its own error of the air data, `noise_mps` on each axis."""
-    calibration = AirCalibration.begin(0.0, SETTINGS)
+    calibration = AirCalibration.initial(0.0, SETTINGS)
     for k in range(samples):
         at_s = EVERY_S * (k + 1)
         heading = math.tau * at_s / 120.0
