@@ -78,8 +78,10 @@ class Engine:
 
     telemetry -> clocks -> measurements -> estimator -> integrity -> GPS health -> aiding
 
-    Each stage returns values and keeps the rest private. The engine alone hands a stage's result to the next one, and what a
-    later stage found in the last round to an earlier one. `reviewed_at_s` is the service time of the last review of all vehicles.
+    Each stage returns values and keeps the rest private. Dispatch and review alone hand a stage's result to the next one, and
+    what a later stage found in the last round to an earlier one.
+
+    `reviewed_at_s` is the service time of the last review of all vehicles.
     """
 
     def __init__(self, estimator: Estimator, settings: EngineSettings | None = None) -> None:
