@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Collection, Hashable, Mapping
+from collections.abc import Collection, Hashable
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -282,8 +281,3 @@ class SequenceTracker:
                 for i, count in enumerate((reception.received, reception.lost, reception.duplicates)):
                     totals[sysid][i] += count
         return tuple(LinkSnapshot(sysid, *counts) for sysid, counts in totals.items())
-
-    @property
-    def receptions(self) -> Mapping[Sender, Reception]:
-        """A live view: reception by sender."""
-        return MappingProxyType(self._by_sender)

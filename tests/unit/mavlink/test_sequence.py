@@ -8,8 +8,8 @@ def heard(tracker, sequences):
 
 
 def tally(tracker):
-    reception = tracker.receptions[VEHICLE]
-    return reception.received, reception.lost, reception.duplicates
+    (link,) = tracker.links([1])
+    return link.received, link.lost, link.duplicates
 
 
 def test_unbroken_numbers_lose_nothing_over_the_wrap():
@@ -53,22 +53,24 @@ def test_sender_that_never_counts_on_is_heard():
 
 def test_memory_of_one_sender_is_bounded():
     tracker = SequenceTracker()
-    for number in range(5000):
-        assert tracker.add(VEHICLE, number & 0xFF, checksum=number, received_at_s=0.0)
-    assert len(tracker.receptions[VEHICLE]._recent) == REMEMBERED_FRAMES
+    frames = [(number & 0xFF, number, 0.0) for number in range(REMEMBERED_FRAMES + 1)]
+    assert all(tracker.add(VEHICLE, *frame) for frame in frames)
+    assert not tracker.add(VEHICLE, *frames[1])
+    assert tracker.add(VEHICLE, *frames[0])
 
 
 def test_senders_are_apart_by_address_and_component():
     tracker = SequenceTracker()
     for sender in [VEHICLE, ("elsewhere", 1, 1), ("address", 1, 191), ("address", 2, 1)]:
         assert tracker.add(sender, 7, checksum=1, received_at_s=0.0)
-    assert len(tracker.receptions) == 4
+    assert [link.received for link in tracker.links([1, 2])] == [3, 1]
 
 
 def test_flood_of_senders_is_bounded_and_a_lively_one_stays():
     tracker = SequenceTracker()
     for number in range(3 * MAX_SENDERS):
-        tracker.add(("made up", number, 1), 0, checksum=0, received_at_s=0.0)
+        tracker.add(("made up", number + 2, 1), 0, checksum=0, received_at_s=0.0)
         tracker.add(VEHICLE, number & 0xFF, checksum=number & 0xFFFF, received_at_s=0.0)
-    assert len(tracker.receptions) == MAX_SENDERS
+    made_up = tracker.links(range(2, 3 * MAX_SENDERS + 2))
+    assert sum(link.received for link in made_up) == MAX_SENDERS - 1
     assert tally(tracker) == (3 * MAX_SENDERS, 0, 0)
