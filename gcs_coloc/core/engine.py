@@ -57,7 +57,9 @@ REVIEWED_EVERY_S = 0.2
 
 @dataclass(frozen=True, slots=True)
 class EngineSettings:
-    """Settings of one fleet. `max_vehicles` bounds every table; `request_streams` asks vehicles for missing messages.
+    """Settings of one fleet.
+
+    `max_vehicles` bounds every table; `request_streams` asks vehicles for missing messages.
 
     `stations` are the fixed stations whose position is known. `names` is what people call the vehicles, by system id.
     """
@@ -152,7 +154,7 @@ class Engine:
             self._notify(at_s, sysid, "warning", "its clock jumped: taken as a reboot")
 
     def poll(self, now_s: float) -> list[Outbound]:
-        """Run the stages that look at the whole fleet where they are due, and return all that is to be sent or shown by now."""
+        """Run the stages that are due, and return all that is to be sent or shown by now."""
         self._now_s = now_s
         if now_s >= self._review_due_s:
             self._review_due_s = self._review_schedule.after(now_s, REVIEWED_EVERY_S)
@@ -172,7 +174,7 @@ class Engine:
         return self.serve(now_s)
 
     def serve(self, now_s: float) -> list[Outbound]:
-        """Return what aided vehicles are to be sent by now, and what is to be shown: `poll` without its review of the fleet."""
+        """Return what is to be sent and shown by now: `poll` without its review of the fleet."""
         self._now_s = now_s
         review = self._review
         review.add_residuals(self.estimator.drain_residuals(), now_s)
@@ -182,7 +184,7 @@ class Engine:
         return [output for output in out if not isinstance(output, ChangesVehicle)] if self._is_held_back else out
 
     def next_deadline(self) -> float:
-        """Return the service time at which `poll` is to be called at the latest; infinity before the first message."""
+        """Return the service time by which `poll` is to be called; infinity before the first message."""
         review_s, aiding_s = self._review_due_s, self.aiding.next_due_s()
         return review_s if review_s < aiding_s else aiding_s
 
@@ -191,7 +193,7 @@ class Engine:
         return self.aiding.next_due_s()
 
     def close(self) -> list[ToVehicle]:
-        """Return the last messages before the service ends: fix_type 1 to everyone who is aided, and restored parameters."""
+        """Return the last messages: fix_type 1 to everyone who is aided, and restored parameters."""
         last = self.aiding.close()
         return [] if self._is_held_back else last
 
@@ -222,11 +224,14 @@ class Engine:
         return self._review.decision(sysid)
 
     def readiness(self, sysid: int) -> VehicleReadiness | None:
-        """Return whether a vehicle would be located if its GPS failed now; None while it is not healthy, or not predicted yet."""
+        """Return whether a vehicle would be located if its GPS failed now.
+
+        None while it is not healthy, or not predicted yet.
+        """
         return self._review.readiness.of(sysid)
 
     def estimate(self, sysid: int, at_s: float) -> Estimate | NoEstimate:
-        """Return the estimate of one vehicle at one service time, as it may be stated: with its protection level."""
+        """Return the estimate of a vehicle at a service time, with its protection level."""
         return self._review.estimate(sysid, at_s)
 
     def snapshot(self, now_s: float) -> FleetSnapshot:

@@ -29,7 +29,7 @@ class EstimatorError(UsageError):
 
 
 class DataError(GcsColocError):
-    """A recording or data set that cannot be read; the text names file, line and column where there is one."""
+    """A recording or data set that cannot be read; the text names file, line and column."""
 
 
 class TaskError(GcsColocError):
@@ -37,7 +37,10 @@ class TaskError(GcsColocError):
 
 
 class ClusterError(TaskError):
-    """A Dask cluster that cannot be used: not installed, not reachable, without workers, or with another program."""
+    """A Dask cluster that cannot be used.
+
+    It is not installed, not reachable, without workers, or runs another program.
+    """
 
 
 class RecordError(GcsColocError):

@@ -1,4 +1,7 @@
-"""The protocol that every estimator meets, and the guard around one: a new estimator is one file with one such class."""
+"""The protocol that every estimator meets, and the guard around one.
+
+A new estimator is one file with one such class.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +56,7 @@ class Estimator(Protocol):
         ...
 
     def reset(self, vehicle: int, at_s: float) -> None:
-        """Initialise the position of a denied vehicle anew at time `at_s`, without what it reported of itself before.
+        """Initialise a denied vehicle anew at time `at_s`, without what it reported of itself before.
 
         The engine calls it when such reports have proved wrong. An estimator whose state holds none of them does nothing.
         """
@@ -97,10 +100,12 @@ class LossQuery:
 
 
 class PredictsLoss(Protocol):
-    """What an estimator may offer beside `Estimator`: a prediction of what it would state if a vehicle lost its GPS."""
+    """What an estimator may offer beside `Estimator`: the prediction of a loss of GPS."""
 
     def predict_loss(self, query: LossQuery) -> Sequence[Estimate | NoEstimate]:
-        """Predict a vehicle as if it were denied from `query.at_s` on: its answers at that time and on, the last at the horizon.
+        """Predict a vehicle as if it were denied from `query.at_s` on.
+
+        Returns the answers at that time and on, the last at the horizon.
 
         The estimator's own state does not change.
         """
@@ -108,7 +113,10 @@ class PredictsLoss(Protocol):
 
 
 class EstimatorFault(StrEnum):
-    """What an estimator does that no estimator may. Its value is the `outcome` label of the metric, and its wording."""
+    """What an estimator does that no estimator may.
+
+    Its value is its wording, and the `outcome` label of the metric.
+    """
 
     RAISED = "raised an exception"
     NO_RESIDUAL = "gave a residual that is none"
@@ -117,7 +125,9 @@ class EstimatorFault(StrEnum):
 
 
 class GuardedEstimator:
-    """Keeps a faulty estimator from doing harm; `report` is called with the text of each kind of fault once.
+    """Keeps a faulty estimator from doing harm.
+
+    `report` is called with the text of each kind of fault once.
 
     Estimators are plug-ins. An exception in one must neither stop the service nor leave an aircraft with a frozen position: what
     is raised or not finite is counted, the answer is then NoEstimate, and the aid goes out with fix_type 1.
@@ -155,8 +165,9 @@ class GuardedEstimator:
             self._count(EstimatorFault.RAISED, error)
 
     def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
-        """As the protocol says; NoEstimate where the inner estimator fails, or its answer is none, or no position of that vehicle
-        at that time with a covariance.
+        """As the protocol says; NoEstimate where the inner estimator fails.
+
+        It fails also where its answer is none, or no position of that vehicle at that time with a covariance.
         """
         try:
             answer = self._inner.estimate(vehicle, at_s)
@@ -237,7 +248,7 @@ def _place(error: BaseException) -> str:
 
 
 def _is_sound(answer: object) -> bool:
-    """Whether it is an Estimate, its arrays of the right shapes and finite, its covariances symmetric and positive definite."""
+    """Whether it is an Estimate of finite arrays of the right shapes, and its covariances are such."""
     if not isinstance(answer, Estimate) or not isinstance(answer.ranges_in_use, Integral):
         return False
     try:
@@ -255,7 +266,10 @@ def _is_sound(answer: object) -> bool:
 
 
 def _is_covariance(rows: list[list[float]]) -> bool:
-    """Whether finite rows are symmetric and positive definite; of the correlations, as variances may differ by many powers."""
+    """Whether finite rows are symmetric and positive definite.
+
+    Tested on the correlations, as variances may differ by many powers of ten.
+    """
     if not all(row[i] > 0.0 for i, row in enumerate(rows)):
         return False
     per_sigma = [1.0 / sqrt(row[i]) for i, row in enumerate(rows)]

@@ -47,7 +47,9 @@ class PositionMeasurement:
 
 @dataclass(frozen=True, slots=True)
 class RangeMeasurement:
-    """A slant range between two vehicles; `from_vehicle` measured it. Direction carries no meaning for the value.
+    """A slant range between two vehicles, measured by `from_vehicle`.
+
+    Direction carries no meaning for the value.
 
     `clock_of` is the vehicle by whose clock it was stamped, None for the service's. `time_sigma_s` is how far that clock may be
     off, `time_sigma_m` what it means at the speed between the two: `sigma_m` holds that already. `samples`: how many ranges it
@@ -80,7 +82,10 @@ class AltitudeMeasurement:
 
 @dataclass(frozen=True, slots=True)
 class AttitudeMeasurement:
-    """A vehicle's attitude, and its airspeed where known: valid with and without GPS. Yaw from true north, clockwise."""
+    """A vehicle's attitude, and its airspeed where known: valid with and without GPS.
+
+    Yaw is from true north, clockwise.
+    """
 
     vehicle: int
     measured_at_s: float
@@ -93,7 +98,10 @@ class AttitudeMeasurement:
 
 @dataclass(frozen=True, slots=True)
 class OdometryMeasurement:
-    """A vehicle's velocity over ground in its own axes (forward, right, m/s) and its turn rate (rad/s, clockwise from above)."""
+    """A vehicle's velocity over ground in its own axes, and its turn rate.
+
+    Forward and right in m/s; rad/s, clockwise from above.
+    """
 
     vehicle: int
     measured_at_s: float
@@ -135,7 +143,9 @@ Measurement = (
 
 
 class ProtectionLevel(NamedTuple):
-    """What the error of an estimate does not exceed, but with the integrity risk: horizontally (HPL) and vertically (VPL), m.
+    """What the error of an estimate does not exceed, but with the integrity risk.
+
+    Horizontally (HPL) and vertically (VPL), m.
 
     The ranges cannot test the receivers of the vehicles `untested`: no fault of theirs may move the estimate by more than some
     20 m.
@@ -176,7 +186,10 @@ class Estimate:
 
 
 class NoEstimateReason(WordedReason):
-    """Why there is no estimate of a vehicle. A plug-in says in `detail` of OTHER what none of the others does."""
+    """Why there is no estimate of a vehicle.
+
+    A plug-in says in `detail` of OTHER what none of the others does.
+    """
 
     NOT_HEARD = "not_heard", "no measurement of it was heard"
     NOT_LOCATED = "not_located", "not located yet{detail}"
@@ -217,13 +230,19 @@ class NoEstimate:
 
 
 def count_reasons(reasons: Iterable[Unlocated]) -> dict[Unlocated, int]:
-    """Return how often each reason of no estimate was given, the most frequent first, with the numbers of its first time."""
+    """Return how often each reason of no estimate was given, the most frequent first.
+
+    Each has the numbers of its first time.
+    """
     first: dict[NoEstimateReason, Unlocated] = {}
     return dict(Counter(first.setdefault(stated.reason, stated) for stated in reasons).most_common())
 
 
 def is_possible(measurement: Measurement) -> bool:
-    """Return whether all numbers are finite, all sigmas above zero, a range not negative and its two ends different."""
+    """Return whether a measurement can be true.
+
+    All numbers are finite, all sigmas above zero, a range is not negative and its two ends differ.
+    """
     for one in fields(measurement):
         value = getattr(measurement, one.name)
         numbers = value if isinstance(value, tuple) else () if value is None else (value,)
@@ -243,7 +262,9 @@ def is_possible(measurement: Measurement) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Residual:
-    """What an estimator made of one range (or one fix, `to_vehicle` None): innovation, its sigma, and whether it was used.
+    """What an estimator made of one range, or of one fix (`to_vehicle` None).
+
+    The innovation, its sigma, and whether it was used.
 
     `nis` is the normalised innovation squared with `degrees_of_freedom`. `refused` is the reason in words, `None` where it
     was used.

@@ -149,7 +149,7 @@ def _load_file(path: str) -> types.ModuleType:
 
 
 def settings_type_of(name: str, cls: type) -> type | None:
-    """Return the settings dataclass that annotates the class's first argument, None where it takes no argument."""
+    """Return the settings dataclass of a class's first argument, None where it has no argument."""
     try:
         parameters = list(inspect.signature(cls, eval_str=True).parameters.values())
     except NameError as error:

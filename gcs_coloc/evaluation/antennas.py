@@ -43,7 +43,7 @@ class Attitudes:
         self._rows = {vehicle: np.array(sorted(of_vehicle)) for vehicle, of_vehicle in rows.items()}
 
     def lever_arm_enu_m(self, vehicle: int, body_m: Vector3, at_s: float) -> FloatArray | None:
-        """Return a lever arm (forward, right, down) of a vehicle as ENU (3,), m; None where its attitude is not known."""
+        """Return a lever arm (forward, right, down) as ENU (3,), m; None without an attitude."""
         rows = self._rows.get(vehicle)
         if rows is None:
             return None
@@ -54,7 +54,10 @@ class Attitudes:
 
 
 def body_to_enu(body_m: Vector3, roll_rad: float, pitch_rad: float, yaw_rad: float) -> FloatArray:
-    """Turn a vector (forward, right, down) into east, north, up (3,) by the usual rotations about z, y and x."""
+    """Turn a vector (forward, right, down) into east, north, up (3,).
+
+    By the usual rotations about z, y and x.
+    """
     x, y, z = body_m
     sr, cr, sp, cp, sy, cy = sin(roll_rad), cos(roll_rad), sin(pitch_rad), cos(pitch_rad), sin(yaw_rad), cos(yaw_rad)
     north = cy * cp * x + (cy * sp * sr - sy * cr) * y + (cy * sp * cr + sy * sr) * z

@@ -1,4 +1,4 @@
-"""Calibration of ranging devices: bias and scale of each from ranges between vehicles whose positions are known.
+"""Calibration of ranging devices: bias and scale of each, from ranges between known positions.
 
 Model: a range of devices i and j is (1 + s_i + s_j) d + b_i + b_j with the distance d. Only sums of two devices are ever seen:
 what the data do not tell apart is shared by a prior that all biases and scales are small.
@@ -28,7 +28,7 @@ _ROUNDS = 20
 
 @dataclass(frozen=True, slots=True)
 class DeviceCalibration:
-    """Bias (m) and scale error of one device with their 1-sigma; `ranges`: how many of its ranges were used."""
+    """Bias (m) and scale error of one device with their 1-sigma; `ranges` were used for them."""
 
     vehicle: int
     bias_m: float
@@ -40,7 +40,10 @@ class DeviceCalibration:
 
 @dataclass(frozen=True, slots=True)
 class PairResidual:
-    """Mean residual (range minus distance) of one pair before and after calibration, and what is left around it (rms), m."""
+    """Mean residual (range minus distance) of one pair before and after calibration, m.
+
+    With what is left around it (rms), m.
+    """
 
     ends: tuple[int, int]
     ranges: int
@@ -58,7 +61,9 @@ class Calibration:
 
 
 def calibrate(data: RecordedData) -> Calibration:
-    """Estimate bias and scale of every device. The truth stands in for a vehicle's reports where it is given.
+    """Estimate bias and scale of every device.
+
+    The truth stands in for a vehicle's reports where it is given.
 
     Raises:
         DataError: no two devices have twenty ranges at times at which both positions are known.

@@ -1,4 +1,6 @@
-"""Reads a data set in the documented layout (docs/reference/dataset.md): a recording of any kind, for evaluation.
+"""Reads a data set in the documented layout (docs/reference/dataset.md).
+
+It is a recording of any kind, for evaluation.
 
 A row that is wrong is dropped and told with its file and line; a file that is mostly wrong is an error. Nothing is guessed.
 """
@@ -70,7 +72,9 @@ class Dataset:
 
 
 def read_dataset(directory: Path | str) -> Dataset:
-    """Read a data set. Of the tables only `ranges.csv` has to be there; without `truth.csv` nothing can be scored.
+    """Read a data set.
+
+    Of the tables only `ranges.csv` has to be there; without `truth.csv` nothing can be scored.
 
     Raises:
         DataError: a file is missing, its header or most of its rows are wrong, or there are no ranges; the text names the file,
@@ -112,7 +116,7 @@ def read_dataset(directory: Path | str) -> Dataset:
 
 
 def _dataset_directory(path: Path) -> Path:
-    """Return the directory of the data set that a path names: itself, or the one that a file of the layout is in."""
+    """Return the directory of the data set that a path names: itself, or that of a file in it."""
     if (path.is_file() and path.suffix == ".csv" and (path.parent / _META).exists()) or (path.name == _META and path.is_file()):
         return path.parent
     if not path.exists():

@@ -1,4 +1,7 @@
-"""The meta data of a data set: `meta.toml` with the nodes, their antennas and what is known of their ranging devices."""
+"""The meta data of a data set: `meta.toml`.
+
+It has the nodes, their antennas and what is known of their ranging devices.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,9 @@ _MOST_SCALE = 0.5  # chosen: a half or a double is a wrong unit
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """One radio of the data set; `vehicle` is its number for the estimator. An anchor has a place (ENU, m) with a sigma (m).
+    """One radio of the data set; `vehicle` is its number for the estimator.
+
+    An anchor has a place (ENU, m) with a sigma (m).
 
     `antennas`: lever arms (forward, right, down, m) by the antenna's id. `range_bias_m` and `range_scale` are the calibration of
     its device: a range of two nodes is (1 + both scales) times the distance plus both biases. `vehicle_class`: how it moves, None

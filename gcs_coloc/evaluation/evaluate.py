@@ -1,4 +1,7 @@
-"""Runs an estimator over a data set and scores it: causally, so an estimate uses only what had arrived by its time."""
+"""Runs an estimator over a data set and scores it.
+
+Causally: an estimate uses only what had arrived by its time.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +49,9 @@ _PROGRESS_EVERY = 500  # chosen: several times a second
 
 @dataclass(frozen=True, slots=True)
 class VehicleEvaluation:
-    """One denied vehicle: its score, the epochs behind it, and the normalised innovations (N, 2) of its ranges: time in s, NIS.
+    """One denied vehicle: its score, the epochs behind it, and the NIS of its ranges.
+
+    The NIS is (N, 2): time in s, normalised innovation squared.
 
     `unanswered`: how many epochs have no estimate, by the estimator's reason with the numbers of its first time.
     """
@@ -65,7 +70,9 @@ class VehicleEvaluation:
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """An estimator's result on a data set; `cpu_us_per_measurement` includes the estimates at the epochs of the truth.
+    """An estimator's result on a data set.
+
+    `cpu_us_per_measurement` includes the estimates at the epochs of the truth.
 
     `findings`: what the data checks found, if `evaluate` read the data.
     """
@@ -118,7 +125,10 @@ def evaluate(
 
 
 def dataset_findings(dataset: Dataset) -> list[DataFinding]:
-    """Return what was dropped of a data set, and what does not agree in it: units, axes, clocks, offsets, repeated ranges."""
+    """Return what was dropped of a data set, and what does not agree in it.
+
+    Units, axes, clocks, offsets, repeated ranges.
+    """
     dropped = [
         finding(FindingKind.DROPPED_ROWS, one.count, one.path.name, rows=one.rows, first="; ".join(one.first))
         for one in dataset.dropped
@@ -140,7 +150,10 @@ def evaluate_dataset(
     cpu_s: Callable[[], float] = time.process_time,
     progress: Progress = lambda _done, _total: None,
 ) -> Evaluation:
-    """Run an estimator over a data set that is in memory and score it. `cpu_s` returns the CPU time spent so far."""
+    """Run an estimator over a data set that is in memory and score it.
+
+    `cpu_s` returns the CPU time spent so far.
+    """
     measurements = _measurements_in_order(dataset)
     start_s = measurements[0].arrived_at_s
     last_report_s = {node.vehicle: _last_report_s(dataset, node.vehicle) for node in dataset.denied()}
@@ -218,7 +231,10 @@ def _epochs(since_s: float, end_s: float) -> Truth:
 
 
 def _measurements_in_order(dataset: Dataset) -> list[Measurement]:
-    """Return what the estimator is given, in order of arrival: anchors first, and in two dimensions the height of the plane."""
+    """Return what the estimator is given, in order of arrival.
+
+    Anchors come first, and in two dimensions the height of the plane.
+    """
     first_s = min(m.measured_at_s for m in dataset.measurements)
     anchors: list[Measurement] = [
         PositionMeasurement(node.vehicle, first_s, first_s, node.place_enu_m, node.sigma_m, node.sigma_m, static=True)
@@ -233,7 +249,10 @@ def _measurements_in_order(dataset: Dataset) -> list[Measurement]:
 
 
 def _plane(dataset: Dataset) -> Iterator[Measurement]:
-    """Yield heights for the vehicles of a flat data set: that all nodes move in one plane is knowledge like a barometer's."""
+    """Yield heights for the vehicles of a flat data set.
+
+    That all nodes move in one plane is knowledge like a barometer's.
+    """
     places = [node.place_enu_m[2] for node in dataset.nodes if node.place_enu_m is not None]
     reports = [m.position_enu_m[2] for m in dataset.measurements if isinstance(m, PositionMeasurement)]
     plane_m = float(np.median(places + reports)) if places or reports else 0.0

@@ -18,7 +18,9 @@ _COLUMNS = ("dataset", "estimator", "id", "t_s", "e_m", "n_m", "u_m", "sigma_e_m
 
 
 def write_epochs(evaluations: Sequence[Evaluation], path: Path | str) -> None:
-    """Write every epoch of every denied vehicle as CSV; cells without an estimate, or without truth, are empty.
+    """Write every epoch of every denied vehicle as CSV.
+
+    Cells without an estimate, or without truth, are empty.
 
     Raises:
         UsageError: the file cannot be written.
@@ -44,7 +46,9 @@ def write_epochs(evaluations: Sequence[Evaluation], path: Path | str) -> None:
 
 
 def plot_evaluation(evaluation: Evaluation, path: Path | str) -> None:
-    """Draw each vehicle's track, its error against the stated 2-sigma, and the NIS of its ranges; the ending sets the format.
+    """Draw each vehicle's track, its error against the stated 2-sigma, and the NIS of its ranges.
+
+    The file's ending sets the format.
 
     Raises:
         UsageError: matplotlib is not installed, or the ending is not one that it writes, or the file cannot be written.

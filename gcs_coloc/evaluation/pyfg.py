@@ -1,4 +1,6 @@
-"""Import of PyFG files, the text format of range-aided factor graphs (PyFactorGraph), into the data-set layout.
+"""Import of PyFG files into the data-set layout.
+
+PyFG is the text format of range-aided factor graphs (PyFactorGraph).
 
 Of a graph its vertices are the truth, its landmarks the anchors, its range edges the ranges. Odometry and loop closures are left
 out: no estimator here takes them. Source: PyFactorGraph, `py_factor_graph/io/pyfg_text.py`.

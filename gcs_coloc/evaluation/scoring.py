@@ -1,4 +1,4 @@
-"""How good a run of estimates is: errors against the truth, and whether the stated covariance can be believed."""
+"""Scoring of a run of estimates: errors against the truth, and the stated covariance."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from gcs_coloc.core.measurements import Estimate, FloatArray
 
 @dataclass(frozen=True, slots=True)
 class EstimateSeries:
-    """The scored epochs of one denied vehicle; positions ENU in metres. Epochs without an estimate hold NaN.
+    """The scored epochs of one denied vehicle; positions ENU in metres.
+
+    Epochs without an estimate hold NaN.
 
     `times_s` (T,), `truth_enu_m` (T, 3), `estimate_enu_m` (T, 3), `covariance_m2` (T, 3, 3).
     """
@@ -90,7 +92,9 @@ def error_statistics(error_m: FloatArray) -> ErrorStatistics:
 
 
 def score(series: EstimateSeries, since_s: float, dims: int) -> VehicleScore:
-    """Return the score of one denied vehicle that became one at `since_s`; with `dims` 2 the height is left out of ANEES.
+    """Return the score of one denied vehicle that became one at `since_s`.
+
+    With `dims` 2 the height is left out of ANEES.
 
     Where the truth is NaN there is no error.
     """

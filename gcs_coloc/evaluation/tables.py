@@ -1,4 +1,7 @@
-"""Reading of CSV tables: a row that is wrong is an error, or is dropped, with the file, the line and the column."""
+"""Reading of CSV tables.
+
+A row that is wrong is an error, or is dropped, with the file, the line and the column.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,10 @@ Parsed = TypeVar("Parsed")
 
 @dataclass(frozen=True, slots=True)
 class DroppedRows:
-    """Rows of one file that were dropped because something in them is wrong: how many of how many, and where the first are."""
+    """Rows of one file that were dropped because something in them is wrong.
+
+    How many of how many, and where the first are.
+    """
 
     path: Path
     count: int
@@ -104,7 +110,9 @@ class TableRow:
 
 
 def read_table(path: Path, required: Sequence[str], optional: Sequence[str] = ()) -> Iterator[TableRow]:
-    """The rows of a CSV file with a header line, in order; blank lines are passed over, other columns ignored.
+    """The rows of a CSV file with a header line, in order.
+
+    Blank lines are passed over, other columns ignored.
 
     Args:
         path: the file.
@@ -137,7 +145,9 @@ def read_table(path: Path, required: Sequence[str], optional: Sequence[str] = ()
 def read_layout(
     path: Path, parse: Callable[[TableRow], Parsed], required: Sequence[str], *optional: Sequence[str]
 ) -> tuple[list[Parsed], DroppedRows]:
-    """Parse the rows of a file whose header is the required columns, then any of the optional groups, in that order and no other.
+    """Parse the rows of a file with required columns, then any of the optional groups.
+
+    In that order and no other.
 
     A row for which `parse` raises DataError is dropped.
 

@@ -1,4 +1,7 @@
-"""The history of a recorded flight, replayed through the engine: for export and report, and as arrays for notebooks."""
+"""The history of a recorded flight, replayed through the engine.
+
+For export and report, and as arrays for notebooks.
+"""
 
 from __future__ import annotations
 

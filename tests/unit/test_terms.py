@@ -99,6 +99,10 @@ OTHERS_VERBS = {
 }
 """What a file of Python has to be called, and two private functions that are still to be renamed."""
 
+FIRST_LINE_CHARACTERS = 100
+LONG_FIRST_LINES = 980
+"""How many docstrings of the package begin with a longer line. Lower it with each that is shortened; it never rises."""
+
 
 def relative(path: Path) -> str:
     return str(path.relative_to(ROOT))
@@ -181,6 +185,18 @@ def is_named_after_its_content(path: Path) -> bool:
     largest = max(definitions, key=lambda node: (node.end_lineno or 0) - node.lineno, default=None)
     first_line = (ast.get_docstring(tree) or "").splitlines()[0]
     return bool(stems(path.stem) & (stems(first_line) | (stems(largest.name) if largest is not None else set())))
+
+
+def long_first_lines(path: Path) -> list[str]:
+    documented = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+    nodes = [node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, documented)]
+    first_lines = [(ast.get_docstring(node) or " ").splitlines()[0] for node in nodes]
+    return [line for line in first_lines if len(line) > FIRST_LINE_CHARACTERS]
+
+
+def test_ever_fewer_docstrings_begin_with_a_long_line():
+    found = sum(len(long_first_lines(path)) for path in MODULES)
+    assert found <= LONG_FIRST_LINES, "a docstring's first line says what the thing is, in 100 characters; reasons come below it"
 
 
 @pytest.mark.parametrize("path", [path for path in MODULES if not path.name.startswith("__")], ids=relative)

@@ -1,4 +1,7 @@
-"""Control inputs: what the host, the operator and the links send the engine. Conventions as in `inbound`."""
+"""Control inputs: what the host, the operator and the links send the engine.
+
+Conventions as in `inbound`.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,9 @@ HOST_LATE_S = 0.25
 
 @dataclass(frozen=True, slots=True)
 class ClockReference:
-    """What the host knows of UTC: UNIX time minus service clock, and whether the host's clock is disciplined.
+    """What the host knows of UTC.
+
+    UNIX time minus service clock, and whether the host's clock is disciplined.
 
     `utc_minus_service_s` is `None` where the host does not know UTC; GPS week and time of week are then left at 0 unless
     vehicles know it. `synchronised` is `None` where the host does not tell. `lag_s` is by how much it ran the service late at
@@ -57,7 +62,10 @@ Override = GpsOverride | AidingOverride | PrimaryOverride
 
 
 class CommandSource(StrEnum):
-    """Where an operator's command came from. Its value stands in recordings, on the page and in MQTT messages."""
+    """Where an operator's command came from.
+
+    Its value stands in recordings, on the page and in MQTT messages.
+    """
 
     PAGE = "page"
     MQTT = "MQTT"
@@ -99,7 +107,9 @@ OWN_ADDRESS = (
 
 @dataclass(frozen=True, slots=True)
 class RouteReport:
-    """What the link layer knows about reaching a vehicle: `blocked` says why nothing may be sent to it, or is None.
+    """What the link layer knows about reaching a vehicle.
+
+    `blocked` says why nothing may be sent to it, or is None.
 
     `shared_with`: the system ids of the other vehicles at its address.
     """
@@ -120,7 +130,9 @@ class RouteReport:
 
 @dataclass(frozen=True, slots=True)
 class TransmitDisabled:
-    """From now on nothing that the engine has to send reaches anybody: how vehicles answer to it is not to be judged.
+    """From now on nothing that the engine has to send reaches anybody.
+
+    How vehicles answer to it is not to be judged.
 
     So it is when somebody else's recording is replayed, or a flight of ours in another way than it was flown.
     """
@@ -141,7 +153,9 @@ class SwitchedReceiver(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class HoldBack:
-    """From now on what changes what vehicles do is held back (`held`), as the other service sends it; or is sent again.
+    """From now on what changes what vehicles do is held back (`held`), or is sent again.
+
+    It is held back while the other service sends it.
 
     All else goes on: how vehicles answer to what the other one sends is judged as if it were ours.
     """
@@ -152,7 +166,10 @@ class HoldBack:
 
 @dataclass(frozen=True, slots=True)
 class SwitchedByOther:
-    """While ours is held back the other service has switched a vehicle's own receiver; or (`held` False) it no longer is."""
+    """The other service has switched a vehicle's own receiver while ours is held back.
+
+    With `held` False it no longer is.
+    """
 
     received_at_s: float
     receiver: SwitchedReceiver

@@ -1,4 +1,6 @@
-"""Inbound messages of vehicles, frozen, with units in the names of their fields; others: `control`, `outbound`.
+"""Inbound messages of vehicles, frozen, with units in the names of their fields.
+
+Others stand in `control` and `outbound`.
 
 Conventions for all of them, those of `control` and `outbound` as well:
 
@@ -37,7 +39,9 @@ class TimeBase(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Heartbeat:
-    """HEARTBEAT (0) of an autopilot component. Heartbeats of ground stations and peripherals are not turned into this.
+    """HEARTBEAT (0) of an autopilot component.
+
+    Heartbeats of ground stations and peripherals are not turned into this.
 
     `winged`: the vehicle is of a type that flies along its nose and turns by banking. `mode`: the name of its flight mode.
     `vehicle_class`: how it moves, None for other types.
@@ -98,7 +102,9 @@ class GpsReceiver:
 
 
 class Interference(Enum):
-    """What a receiver says of jamming or of spoofing: GPS_JAMMING_STATE and GPS_SPOOFING_STATE, which number alike.
+    """What a receiver says of jamming or of spoofing.
+
+    GPS_JAMMING_STATE and GPS_SPOOFING_STATE, which number alike.
 
     MITIGATED of spoofing is what some receivers mean by "indicated": one of their tests tells it, another does not.
     """
@@ -143,7 +149,7 @@ class SystemHealth:
 
 @dataclass(frozen=True, slots=True)
 class EkfStatus:
-    """EKF_STATUS_REPORT (193, ArduPilot) or ESTIMATOR_STATUS (230, PX4), reduced to the flags that matter here.
+    """EKF_STATUS_REPORT (193, ArduPilot) or ESTIMATOR_STATUS (230, PX4): the flags that matter here.
 
     Of PX4 alone, else None: `global_position_aided`: GNSS or an auxiliary position aids it; `horizontally_aided`: anything does
     that tells of horizontal position or velocity, as vision.
@@ -207,7 +213,7 @@ class SystemTime:
 
 @dataclass(frozen=True, slots=True)
 class TimeSyncAnswer:
-    """TIMESYNC (111) in answer to a request: our time as echoed, and the sender's clock, both in nanoseconds."""
+    """TIMESYNC (111) in answer to a request: our time as echoed, and the sender's clock, in ns."""
 
     sysid: int
     received_at_s: float
@@ -232,7 +238,7 @@ class BeaconPosition:
 
 @dataclass(frozen=True, slots=True)
 class Beacon:
-    """The station of a RANGING_BEACON (513): its id, and the position in the message, `None` where it states none."""
+    """The station of a RANGING_BEACON (513): its id, and its position, None where that is not stated."""
 
     beacon_id: int
     position: BeaconPosition | None

@@ -8,7 +8,9 @@ from enum import Enum
 
 @dataclass(frozen=True, slots=True)
 class GpsInput:
-    """GPS_INPUT (232) for one vehicle: a synthetic fix, to be sent to that vehicle's own address and nowhere else.
+    """GPS_INPUT (232) for one vehicle: a synthetic fix.
+
+    It is to be sent to that vehicle's own address and nowhere else.
 
     The message has no target field. `fix_type` is 3, or 1 where the position is unknown or too uncertain.
     `gps_id` is the zero-based receiver instance. `gps_week` 0 means that the time is not known.
@@ -37,7 +39,7 @@ class GpsInput:
 
 @dataclass(frozen=True, slots=True)
 class ExternalPosition:
-    """COMMAND_INT MAV_CMD_EXTERNAL_POSITION_ESTIMATE (43003) to one vehicle: where it is when the command arrives.
+    """COMMAND_INT MAV_CMD_EXTERNAL_POSITION_ESTIMATE (43003): where a vehicle is as the command arrives.
 
     `sent_s` (param 1) is the time of sending on a clock of ours that begins near 0, `accuracy_m` (param 3) 1-sigma. The
     processing time (param 2) is 0 and the altitude NaN, as the command wants it.
@@ -52,7 +54,10 @@ class ExternalPosition:
 
 @dataclass(frozen=True, slots=True)
 class GlobalPositionSensor:
-    """GLOBAL_POSITION_SENSOR (296) to one vehicle: where it is when the message arrives. `eph_m`, `epv_m` are 1-sigma."""
+    """GLOBAL_POSITION_SENSOR (296) to one vehicle: where it is when the message arrives.
+
+    `eph_m`, `epv_m` are 1-sigma.
+    """
 
     sysid: int
     time_usec: int
@@ -65,7 +70,9 @@ class GlobalPositionSensor:
 
 @dataclass(frozen=True, slots=True)
 class VisionPosition:
-    """VISION_POSITION_ESTIMATE (102) to one vehicle: where it is when the message arrives, from its own local origin.
+    """VISION_POSITION_ESTIMATE (102) to one vehicle: where it is when the message arrives.
+
+    The position is from the vehicle's own local origin.
 
     The message has no target field. `variance_m2` is north, east, down; an orientation is never sent.
     """
@@ -80,7 +87,7 @@ class VisionPosition:
 
 @dataclass(frozen=True, slots=True)
 class RangingBeacon:
-    """RANGING_BEACON (513) to one vehicle: a range that was measured to it or by it, and where its other end is.
+    """RANGING_BEACON (513) to one vehicle: a range to it or by it, and where its other end is.
 
     `boot_us` is when it holds, on the vehicle's own clock; `accuracy_m` is 1-sigma, with the other end's error along the range.
     PX4 takes the message from whomever it reaches: its target is not looked at.
@@ -108,7 +115,7 @@ class OriginRequest:
 
 @dataclass(frozen=True, slots=True)
 class SensorEnable:
-    """COMMAND_LONG MAV_CMD_ESTIMATOR_SENSOR_ENABLE (43006): lets one vehicle's estimator use its own GPS, or not."""
+    """COMMAND_LONG MAV_CMD_ESTIMATOR_SENSOR_ENABLE (43006): a vehicle is to use its own GPS, or not."""
 
     sysid: int
     gps: bool
@@ -124,7 +131,10 @@ class ParameterRequest:
 
 @dataclass(frozen=True, slots=True)
 class ParameterSet:
-    """PARAM_SET (23): changes one parameter of one vehicle; it answers with PARAM_VALUE. `kind` is a MAV_PARAM_TYPE."""
+    """PARAM_SET (23): changes one parameter of one vehicle, which answers with PARAM_VALUE.
+
+    `kind` is a MAV_PARAM_TYPE.
+    """
 
     sysid: int
     name: str
@@ -159,7 +169,10 @@ class StreamRequest:
 
 @dataclass(frozen=True, slots=True)
 class TimeSyncRequest:
-    """TIMESYNC (111) with tc1 0: asks one autopilot for its clock. No target field: for that vehicle's own address alone."""
+    """TIMESYNC (111) with tc1 0: requests the clock of one autopilot.
+
+    It has no target field: it is for that vehicle's own address alone.
+    """
 
     sysid: int
     ts1_ns: int
@@ -167,7 +180,7 @@ class TimeSyncRequest:
 
 @dataclass(frozen=True, slots=True)
 class Notice:
-    """A line for the operator: something happened to a vehicle (or to the fleet, `sysid` None) that a person should read."""
+    """A line for the operator: what happened to a vehicle, or to the fleet (`sysid` None)."""
 
     at_s: float
     sysid: int | None
@@ -177,7 +190,10 @@ class Notice:
 
 @dataclass(frozen=True, slots=True)
 class HealthChanged:
-    """The GPS health of a vehicle went from one state to another; states are `GpsState` values, the reason is in words."""
+    """The GPS health of a vehicle went from one state to another.
+
+    States are `GpsState` values, the reason is in words.
+    """
 
     at_s: float
     sysid: int

@@ -1,4 +1,6 @@
-"""The `fleet` estimator: an extended Kalman filter over each cluster of vehicles, on raw measurements at their own times.
+"""The `fleet` estimator: an extended Kalman filter over each cluster of vehicles.
+
+It uses raw measurements at their own times.
 
 docs/explanation/fleet-filter.md has the equations. This module refuses impossible values and late arrivals, and puts the rest
 through the out-of-sequence buffer.
@@ -68,7 +70,10 @@ class FleetFilter:
         )
 
     def reset(self, vehicle: int, at_s: float) -> None:
-        """Discard a denied vehicle's state and initialise it anew from ranges: trusted and denied again at one time."""
+        """Discard a denied vehicle's state and initialise it anew from ranges.
+
+        It is trusted and denied again at one time.
+        """
         denied = self._denied
         self.set_denied(denied - {vehicle}, at_s)
         self.set_denied(denied, at_s)
@@ -93,7 +98,10 @@ class FleetFilter:
         return self._buffer.process().estimate(vehicle, at_s)
 
     def predict_loss(self, query: LossQuery) -> list[Estimate | NoEstimate]:
-        """Predict what would be stated of a healthy vehicle if its GPS failed now, see `core.estimator.PredictsLoss`."""
+        """Predict what would be stated of a healthy vehicle if its GPS failed now.
+
+        See `core.estimator.PredictsLoss`.
+        """
         return predict_loss(self._buffer.process().main, query)
 
     def drain_residuals(self) -> list[Residual]:

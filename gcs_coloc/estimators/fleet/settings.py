@@ -1,4 +1,7 @@
-"""Settings of the fleet filter: what it assumes of vehicles, sensors and links where the measurements do not show it."""
+"""Settings of the fleet filter.
+
+What it assumes of vehicles, sensors and links where the measurements do not show it.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,9 @@ BY_REPORT: Final = "reported"
 
 @dataclass(frozen=True, slots=True)
 class FleetSettings:
-    """Assumptions of the fleet filter. Sigmas are one standard deviation per axis, densities those of white acceleration noise.
+    """Assumptions of the fleet filter.
+
+    Sigmas are one standard deviation per axis, densities those of white acceleration noise.
 
     Raises:
         ValueError: a value is out of its bounds; the text names it.

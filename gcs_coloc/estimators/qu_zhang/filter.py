@@ -54,7 +54,10 @@ _RESIDUALS_KEPT = 2000  # chosen: bounds the memory where nobody drains them; th
 
 
 class QuZhangFilter:
-    """The estimator of Qu & Zhang (2010) for live measurements; meets `gcs_coloc.core.estimator.Estimator`."""
+    """The estimator of Qu & Zhang (2010) for live measurements.
+
+    Meets `gcs_coloc.core.estimator.Estimator`.
+    """
 
     def __init__(self, settings: QuZhangSettings | None = None) -> None:
         self._settings = settings or QuZhangSettings()

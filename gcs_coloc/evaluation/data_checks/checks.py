@@ -57,7 +57,10 @@ _AXES = (
 
 
 def run_checks(data: RecordedData) -> list[DataFinding]:
-    """Return all findings, the most basic first. The checks correct nothing: an estimator gets the data as they are."""
+    """Return all findings, the most basic first.
+
+    The checks correct nothing: an estimator gets the data as they are.
+    """
     truth = list(_check_truth(data))
     return [
         *_check_clocks(data),
@@ -71,7 +74,10 @@ def run_checks(data: RecordedData) -> list[DataFinding]:
 
 
 def check_delays(delays_s: Mapping[str, FloatArray]) -> Iterator[DataFinding]:
-    """Yield kinds of measurements (delays (N,) in s by the kind's name) that arrive too late for one clock."""
+    """Yield kinds of measurements that arrive too late for one clock.
+
+    Delays (N,) are in s, by the kind's name.
+    """
     for name, delays in delays_s.items():
         if len(delays) and (delay_s := float(np.median(delays))) > _LATE_S:
             yield finding(FindingKind.LATE_ARRIVAL, delay_s, name)
@@ -226,7 +232,7 @@ def _velocity_findings(data: RecordedData) -> Iterator[tuple[str, DataFinding]]:
 
 
 def _displacements(reports: PositionTrack) -> tuple[FloatArray, FloatArray, float] | None:
-    """Return displacements (N, 3), m, by the positions and by the integrated velocities, and the median time of one, s."""
+    """Return displacements (N, 3), m, by positions and by velocities, and the median time of one, s."""
     velocities = reports.velocities_enu_mps
     if reports.is_static or velocities is None or np.isnan(velocities).any() or len(velocities) < _LEAST_ROWS:
         return None
@@ -264,7 +270,7 @@ def _left_m(vectors_m: FloatArray, reference_m: FloatArray) -> float:
 def _factor_explanations(
     vectors_m: FloatArray, reference_m: FloatArray, kind: FindingKind, of: str, than: str
 ) -> Iterator[Explanation]:
-    """Yield that vectors (N, 3) are in another unit than those of the reference, where the lengths look like it."""
+    """Yield that vectors (N, 3) are in another unit than the reference, where lengths look like it."""
     factor = median_ratio(np.linalg.norm(vectors_m, axis=1), np.linalg.norm(reference_m, axis=1))
     question = unit_question(factor, of, than)
     if question:

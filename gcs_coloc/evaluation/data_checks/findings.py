@@ -1,4 +1,4 @@
-"""Data-quality findings: the kinds, their wording, and how one explanation of a disagreement is chosen among several."""
+"""Data-quality findings: their kinds and wording, and the choice among several explanations."""
 
 from __future__ import annotations
 
@@ -97,7 +97,10 @@ _WORDING = {
 
 @dataclass(frozen=True, slots=True)
 class DataFinding:
-    """One disagreement in a recording; `value` is the factor, the seconds or the metres, None where no one number says it."""
+    """One disagreement in a recording.
+
+    `value` is the factor, the seconds or the metres, None where no one number says it.
+    """
 
     kind: FindingKind
     text: str
@@ -109,20 +112,26 @@ class DataFinding:
 
 
 def finding(kind: FindingKind, value: float | None = None, who: str = "{who}", **words: object) -> DataFinding:
-    """Return a finding in its kind's wording. Without `who` the place of the names stays open for `join_vehicles`."""
+    """Return a finding in its kind's wording.
+
+    Without `who` the place of the names stays open for `join_vehicles`.
+    """
     return DataFinding(kind, _WORDING[kind].format(value=value, who=who, **words), value)
 
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """One way to make data agree: the median residual that remains, m, and the finding if it is the right way."""
+    """One way to make data agree: the median residual that remains, m, and the finding if it is right."""
 
     residual_m: float
     finding: DataFinding
 
 
 def choose(explanations: Iterable[Explanation], residual_m: float, sigma_m: float = 0.0) -> DataFinding | None:
-    """Return the simplest explanation (the first) that is clearly better than none and as good as the best or within noise."""
+    """Return the simplest explanation (the first) that is good enough.
+
+    It is clearly better than none, and as good as the best or within noise.
+    """
     candidates = list(explanations)
     least_m = min((one.residual_m for one in candidates), default=math.inf)
     enough_m = min(max(_AS_GOOD * least_m, _NOISE_SIGMAS * sigma_m), _CLEARLY_BETTER * residual_m)
@@ -130,7 +139,10 @@ def choose(explanations: Iterable[Explanation], residual_m: float, sigma_m: floa
 
 
 def join_vehicles(findings: Iterable[tuple[str, DataFinding]]) -> Iterator[DataFinding]:
-    """Yield one finding for each kind among (vehicle's name, finding), with the first value and the names of all vehicles."""
+    """Yield one finding for each kind among (vehicle's name, finding).
+
+    It has the first value and the names of all vehicles.
+    """
     by_kind: dict[FindingKind, list[tuple[str, DataFinding]]] = {}
     for name, one in findings:
         by_kind.setdefault(one.kind, []).append((name, one))

@@ -1,4 +1,7 @@
-"""Checks of ranges against the distances between the reported (or else true) positions of their two ends."""
+"""Checks of ranges against the distances between the positions of their two ends.
+
+The positions are the reported ones, or else the true ones.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +61,10 @@ def _shift_all(by_s: float) -> PositionShift:
 
 
 def check_ranges(data: RecordedData, *, trust_truth: bool) -> Iterator[DataFinding]:
-    """Yield the finding on the ranges or the positions at their ends; a trusted truth stands in for missing reports."""
+    """Yield the finding on the ranges or the positions at their ends.
+
+    A trusted truth stands in for missing reports.
+    """
     pairs = list(range_pairs(data, trust_truth=trust_truth))
     if not pairs:
         return
@@ -79,7 +85,10 @@ def check_ranges(data: RecordedData, *, trust_truth: bool) -> Iterator[DataFindi
 
 
 def _mean_findings(pairs: list[RangePair], names: Mapping[int, str]) -> Iterator[DataFinding]:
-    """Yield the ranges that are off in the mean, though each of them is within its sigma: an estimator averages that away."""
+    """Yield the ranges that are off in the mean, though each of them is within its sigma.
+
+    An estimator averages that away.
+    """
     means = [pair.mean_m() for pair in pairs]
     off = [
         (pair, mean_m)
@@ -97,7 +106,10 @@ def _mean_findings(pairs: list[RangePair], names: Mapping[int, str]) -> Iterator
 
 @dataclass(slots=True)
 class RangePair:
-    """The ranges (N, 5) of two vehicles, and whether each end's position is from the truth (N, 2) or from its own reports."""
+    """The ranges (N, 5) of two vehicles.
+
+    With whether each end's position is from the truth (N, 2) or from its own reports.
+    """
 
     ends: tuple[int, int]
     rows: FloatArray
@@ -148,7 +160,10 @@ class RangePair:
 
 
 def range_pairs(data: RecordedData, *, trust_truth: bool) -> Iterator[RangePair]:
-    """Yield the pairs with enough ranges at times at which both positions are known; a trusted truth stands in for reports."""
+    """Yield the pairs with enough ranges at times at which both positions are known.
+
+    A trusted truth stands in for reports.
+    """
     ends = np.sort(data.ranges[:, 1:3], axis=1)
     truth: Mapping[int, PositionTrack] = data.truth if trust_truth else {}
     for a, b in np.unique(ends, axis=0).astype(int).tolist():
@@ -215,7 +230,10 @@ class _RangeSet:
         return np.asarray(self.range_m - np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
 
     def rate_mps(self) -> float:
-        """Return the median rate of change of the distances, over a time in which the noise of positions makes little of it."""
+        """Return the median rate of change of the distances.
+
+        It is taken over a time in which the noise of positions makes little of it.
+        """
         before, after = (self._ends(_shift_all(by_s)) for by_s in (-_RATE_SPAN_S, _RATE_SPAN_S))
         change_m = np.linalg.norm(after[:, 0] - after[:, 1], axis=1) - np.linalg.norm(before[:, 0] - before[:, 1], axis=1)
         rates = np.abs(change_m[np.isfinite(change_m)]) / (2.0 * _RATE_SPAN_S)

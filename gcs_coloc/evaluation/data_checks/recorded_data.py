@@ -29,7 +29,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class PositionTrack:
-    """Positions (T, 3), ENU in m, at ascending times (T,) in s, with one standard deviation (T,) of each, m.
+    """Positions (T, 3), ENU in m, at ascending times (T,) in s, with 1-sigma (T,) of each, m.
 
     Velocities (T, 3) are ENU in m/s, NaN where unknown. The static track of an anchor has one position, which holds always.
     """
@@ -61,7 +61,10 @@ class PositionTrack:
 
 
 def position_track(rows: FloatArray) -> PositionTrack:
-    """Return the track of rows (T, 5 or 8) in any order: time s, east, north, up m, sigma m, and velocity ENU m/s."""
+    """Return the track of rows (T, 5 or 8) in any order.
+
+    A row has time s, east, north, up m, sigma m, and velocity ENU m/s.
+    """
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     return PositionTrack(rows[:, 0], rows[:, 1:4], rows[:, 4], rows[:, 5:8] if rows.shape[1] == 8 else None)
 
@@ -84,7 +87,10 @@ class RecordedData:
 
 
 def recorded_data(dataset: Dataset) -> RecordedData:
-    """Return what the checks compare of a data set; in a flat one the heights say nothing of the distances."""
+    """Return what the checks compare of a data set.
+
+    In a flat one the heights say nothing of the distances.
+    """
     positions: dict[int, list[tuple[float, ...]]] = defaultdict(list)
     heights: dict[int, list[tuple[float, ...]]] = defaultdict(list)
     ranges: list[tuple[float, ...]] = []
