@@ -238,13 +238,17 @@ class Aiding:
 
     def _inhibit(self, vehicle: ReportedState, *, has_duplicate_id: bool) -> Inhibit | None:
         """Return why a vehicle cannot be aided even if it should be; None where it can."""
+        sysid = vehicle.sysid
         if vehicle.blocked is RouteBlock.NO_HEARTBEAT:
             return StatedReason(InhibitReason.NO_HEARTBEAT)
         if vehicle.blocked is not None and not METHODS[self._method(vehicle)].heeds_target:
             return StatedReason(InhibitReason.NO_ROUTE, detail=vehicle.blocked_wording or "")
         if has_duplicate_id:
             return StatedReason(InhibitReason.DUPLICATE_ID)
-        return self._host_inhibit or mismatch(self._method(vehicle), vehicle.autopilot) or self._foreign.inhibit(vehicle.sysid)
+        no_method = mismatch(self._method(vehicle), vehicle.autopilot)
+        if no_method is not None and no_method.reason is InhibitReason.PX4_TAKES_NO_METHOD and not self._px4.is_settled(sysid):
+            no_method = StatedReason(InhibitReason.PX4_METHOD_UNKNOWN)
+        return self._host_inhibit or no_method or self._foreign.inhibit(sysid)
 
     def _status(self, sysid: int, gps_state: GpsState, stream: AidingStream | None, inhibit: Inhibit | None) -> str:
         if stream is not None:

@@ -29,6 +29,7 @@ class InhibitReason(WordedReason):
         "px4_takes_no_method",
         "its EKF2 takes no position: set EKF2_AGP0_CTRL=1 and EKF2_AGP0_ID=1 and reboot it; before PX4 1.18 EKF2_EV_CTRL=1",
     )
+    PX4_METHOD_UNKNOWN = "px4_method_unknown", "it has not told yet which positions its EKF2 takes"
     PX4_RESETS_BY_EXTERNAL_POSITION = (
         "px4_resets_by_external_position",
         "PX4 takes an external position estimate as a reset and drifts on: set its aiding method to auto",
@@ -170,16 +171,17 @@ class InhibitAlarms:
     def review(
         self, vehicle: ReportedState, inhibit: Inhibit | None, now_s: float, *, needs_aid: bool, is_held_back: bool
     ) -> list[Notice]:
-        """Return the alarm that is due; a vehicle that has just come is given the time for its heartbeat.
+        """Return the alarm that is due; a vehicle is given the time for its heartbeat, and to tell its parameters.
 
         `is_held_back`: the other service of a hot standby sends, and may be able to.
         """
         sysid, before = vehicle.sysid, self._reported.get(vehicle.sysid)
         is_new = inhibit is not None and inhibit.reason is InhibitReason.NO_HEARTBEAT
         is_new = is_new and now_s - vehicle.first_heard_s < _HEARTBEAT_WITHIN_S
+        is_asked = inhibit is not None and inhibit.reason is InhibitReason.PX4_METHOD_UNKNOWN
         if not needs_aid:
             self._reported.pop(sysid, None)
-        elif inhibit != before and not is_new:
+        elif inhibit != before and not is_new and not is_asked:
             self._reported[sysid] = inhibit
             if inhibit is not None and is_held_back:
                 return [Notice(now_s, sysid, "warning", f"needs aid, and this service could not aid it: {inhibit.text}")]

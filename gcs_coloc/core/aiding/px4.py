@@ -66,9 +66,13 @@ class Px4Methods:
         Of a vehicle that answers nothing it is not known: what it may take does no harm.
         """
         method = px4_method(lambda name: self._parameters.value(sysid, name))
-        if method != "global_position_sensor" and not all(self._parameters.is_settled(sysid, n) for n in self._names(sysid)):
+        if method != "global_position_sensor" and not self.is_settled(sysid):
             return "auto"
         return method if self._answered(sysid) else "global_position_sensor"
+
+    def is_settled(self, sysid: int) -> bool:
+        """Return whether a vehicle has told the parameters that decide on its method, or was asked for them in vain."""
+        return all(self._parameters.is_settled(sysid, name) for name in self._names(sysid))
 
     def _answered(self, sysid: int) -> bool:
         return any(self._parameters.value(sysid, name) is not None for name in self._names(sysid))

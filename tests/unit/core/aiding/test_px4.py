@@ -93,6 +93,34 @@ def test_it_is_sent_what_its_parameters_show_that_it_takes_and_else_nothing(told
     assert inhibit is None or "its EKF2 takes no position: set EKF2_AGP0_CTRL=1" in inhibit
 
 
+ERROR = "needs aid and cannot be aided"
+
+
+@pytest.mark.parametrize(
+    ("told", "later", "error"),
+    [
+        # As they come in: what the second part says decides, and nothing is said before.
+        ({"EKF2_EV_CTRL": 0.0}, AGP, None),
+        ({"EKF2_AGP0_CTRL": 1.0}, {"EKF2_AGP0_ID": 1.0, "EKF2_EV_CTRL": 0.0}, None),
+        ({"EKF2_AGP0_CTRL": 1.0}, {"EKF2_AGP0_ID": 0.0, "EKF2_EV_CTRL": 0.0}, "its EKF2 takes no position"),
+        # The reading of the others fails.
+        ({"EKF2_EV_CTRL": 0.0}, {}, "its EKF2 takes no position"),
+    ],
+)
+def test_a_px4_without_gps_from_the_start_is_said_to_take_nothing_only_once_it_is_known(told, later, error):
+    engine = Engine(StraightLine(), settings())
+    early = fly(engine, 0.0, 0.5, failed=[4], autopilot=Autopilot.PX4)
+    parameters_told(engine, 0.5, **told)
+    early += fly(engine, 0.5, 1.8, failed=[4], autopilot=Autopilot.PX4)
+    inhibit = vehicle_4(engine, 1.8)
+    assert (inhibit.gps_state, inhibit.inhibit_reason) == ("failed", "it has not told yet which positions its EKF2 takes")
+    assert not [text for text in texts(early) if ERROR in text]
+    parameters_told(engine, 1.8, **later)
+    errors = [text for text in texts(fly(engine, 1.8, 8.0, failed=[4], autopilot=Autopilot.PX4)) if ERROR in text]
+    assert len(errors) == (1 if error else 0)
+    assert all(error in text for text in errors)
+
+
 def test_its_parameters_are_requested_before_it_needs_aid():
     engine = Engine(StraightLine(), settings())
     requested = {o.name for _, o in of(fly(engine, 0.0, 2.0, autopilot=Autopilot.PX4), ParameterRequest)}
