@@ -35,7 +35,10 @@ _FILE_WIDTH = 140  # of a table that goes to a file or pipe
 
 @dataclass(frozen=True, slots=True)
 class DataSetTask:
-    """One data set to be evaluated; `digest` is of its files, and of a plug-in estimator, where the result is kept."""
+    """One data set to be evaluated.
+
+    `digest` is of its files, and of a plug-in estimator, where the result is kept.
+    """
 
     directory: Path
     digest: str = ""

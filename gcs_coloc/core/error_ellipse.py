@@ -64,7 +64,9 @@ def horizontal_sigma_and_bound_95_m(covariance: FloatArray) -> tuple[float, floa
 
 
 def horizontal_dilution_of(units: Iterable[tuple[float, float, float]]) -> float:
-    """HDOP of ranges to a vehicle of known height, from the unit vectors between its peers and it: a plain number.
+    """HDOP of ranges to a vehicle of known height, a plain number.
+
+    It follows from the unit vectors between its peers and it.
 
     Infinite where the directions are parallel to within the rounding of their squares (some 1e-7 rad).
     """

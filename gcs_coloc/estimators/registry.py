@@ -77,7 +77,9 @@ def load_class(name: str) -> type:
 
 
 def plug_in_digest(name: str) -> str:
-    """Return a digest of a plug-in's file, or of the whole package that its module is in; empty for what is built in.
+    """Return a digest of a plug-in's file, or of the whole package that its module is in.
+
+    It is empty for what is built in.
 
     With `program_digest` it says whether two results are of the same estimator. Its other packages do not count.
 

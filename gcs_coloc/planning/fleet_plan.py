@@ -38,7 +38,10 @@ class PlannedVehicle:
 
 @dataclass(frozen=True, slots=True)
 class PlannedStation:
-    """One fixed station: where it stands, m in the plan's frame, and how well that is known (1-sigma per axis, as in flight)."""
+    """One fixed station: where it stands, m in the plan's frame, and how well that is known.
+
+    `sigma_m` is the 1-sigma per axis, as in flight.
+    """
 
     station_id: int
     position_enu_m: Vector3

@@ -86,7 +86,10 @@ def find_improvement(
 
 
 def no_improvement(assessed: Assessment) -> str:
-    """Return that no change helps, in words; empty where none is needed. Of an assessment of which none was found."""
+    """Return that no change helps, in words; empty where none is needed.
+
+    It is of an assessment of which no change was found.
+    """
     if _is_enough(assessed):
         return ""
     sysid = assessed.worst.predicted.sysid
@@ -94,7 +97,10 @@ def no_improvement(assessed: Assessment) -> str:
 
 
 def _is_enough(assessed: Assessment) -> bool:
-    """Whether the worst vehicle has a fix all along, with half of the alert limit to spare, or does not fly at all."""
+    """Whether the worst vehicle has a fix all along, with half of the alert limit to spare.
+
+    It is enough as well where none flies at all.
+    """
     worst, limit_m = assessed.worst, assessed.plan.assumptions.alert_limit_m
     return worst.worst is None or (worst.predicted.share_with_fix >= _ENOUGH and worst.worst.hpl_m < 0.5 * limit_m)
 

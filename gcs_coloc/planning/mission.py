@@ -69,7 +69,10 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class PerVehicle(Generic[T]):
-    """A value of all vehicles, and of single ones by system id, which goes before it; None: as their files say."""
+    """A value of all vehicles, and of single ones by system id.
+
+    That of a single one goes before; None: as the files say.
+    """
 
     of_all: T | None = None
     of_one: Mapping[int, T] = field(default_factory=dict)
@@ -124,7 +127,10 @@ class ListedStation(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class MissionFile:
-    """What one file holds: missions; stations and assumptions of a scenario; `remarks` on what was skipped."""
+    """What one file holds: missions, and of a scenario stations and assumptions.
+
+    `remarks` are on what was skipped.
+    """
 
     missions: tuple[Mission, ...]
     remarks: tuple[str, ...] = ()

@@ -130,7 +130,10 @@ def _beside_the_mission(path: Path, whole: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _parse_int(digits: str) -> float:
-    """Return an integer; one of more digits than any plan has as a float, which may be infinite and is refused at its item."""
+    """Return an integer; one of more digits than any plan has as a float.
+
+    That may be infinite, and is refused at its item.
+    """
     return int(digits) if len(digits) <= _MOST_DIGITS else float(digits)
 
 

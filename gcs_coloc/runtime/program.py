@@ -24,7 +24,10 @@ _SOURCES = (".py", ".so", ".toml")
 
 @cache
 def program_digest() -> str:
-    """Return a digest of the source, simulated aircraft included: results of two states of the program are never mixed."""
+    """Return a digest of the source, simulated aircraft included.
+
+    Results of two states of the program are never mixed.
+    """
     digest = hashlib.sha256()
     for name in _PACKAGES:
         for part in source_of(name):
@@ -33,7 +36,10 @@ def program_digest() -> str:
 
 
 def source_of(package: str) -> Iterator[bytes]:
-    """Yield what a digest of a top-level package or module consists of; of one that is not there, its name. Imports nothing."""
+    """Yield what a digest of a top-level package or module consists of; imports nothing.
+
+    Of one that is not there it is the name.
+    """
     yield package.encode()
     spec = find_spec(package)
     if spec is None:

@@ -69,7 +69,9 @@ class Aiding:
         self._transmits = False
 
     def hold_back(self, *, held: bool) -> None:
-        """Decide and build as ever, but start no switch while what is built is `held` back: the other service sends.
+        """Decide and build as ever, but start no switch while what is built is `held` back.
+
+        The other service sends then.
 
         What a vehicle is sent and makes of it is then told by the other service.
         """

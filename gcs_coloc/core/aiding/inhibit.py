@@ -171,7 +171,9 @@ class InhibitAlarms:
     def review(
         self, vehicle: ReportedState, inhibit: Inhibit | None, now_s: float, *, needs_aid: bool, is_held_back: bool
     ) -> list[Notice]:
-        """Return the alarm that is due; a vehicle is given the time for its heartbeat, and to tell its parameters.
+        """Return the alarm that is due.
+
+        A vehicle is given the time for its heartbeat, and to tell its parameters.
 
         `is_held_back`: the other service of a hot standby sends, and may be able to.
         """

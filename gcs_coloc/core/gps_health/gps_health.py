@@ -272,7 +272,10 @@ class GpsHealth:
 
 
 class FleetGpsHealth(dict[int, GpsHealth]):
-    """The state machine of each vehicle of a fleet. That of a vehicle of which nothing was heard is UNKNOWN."""
+    """The state machine of each vehicle of a fleet.
+
+    That of a vehicle of which nothing was heard is UNKNOWN.
+    """
 
     def __init__(self, settings: GpsHealthSettings) -> None:
         super().__init__()

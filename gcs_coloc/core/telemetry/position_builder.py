@@ -117,7 +117,10 @@ class PositionBuilder:
     def build_fix(
         self, fix: GpsReceiver, position: GlobalPosition | None, measured: ServiceTime, frame: LocalFrame
     ) -> PositionMeasurement:
-        """Build the fix of a vehicle's receiver, at the velocity of the position that its autopilot reported last."""
+        """Build the fix of a vehicle's receiver.
+
+        Its velocity is that of the position which the autopilot reported last.
+        """
         # What the unknown age of the fix means at that speed is in `sigma_h_m`.
         ned_mps = (position.vn_mps, position.ve_mps, position.vd_mps) if position is not None else (0.0, 0.0, 0.0)
         return _measure(fix, ned_mps, receiver_accuracy(fix, self._settings), measured, frame)

@@ -25,7 +25,10 @@ Done = Callable[[int, int], None]
 
 
 def judged_with(settings: Settings) -> dict[str, str]:
-    """Return what figures depend on besides the recordings: estimator, settings and program. Raises EstimatorError."""
+    """Return what figures depend on besides the recordings: estimator, settings and program.
+
+    Raises EstimatorError.
+    """
     return {
         "version": gcs_coloc.__version__,
         "program": program_digest(),

@@ -56,7 +56,10 @@ def _summary(history: FlightHistory, results: Mapping[str, Any]) -> str:
 
 
 def _readiness(history: FlightHistory) -> str:
-    """One line: how long healthy vehicles would have been located if their GPS had failed, and what limited it."""
+    """One line of readiness.
+
+    How long healthy vehicles would have been located if their GPS had failed, and what limited it.
+    """
     told = [
         entry.vehicle.readiness for track in history.tracks.values() for entry in track if entry.vehicle.readiness is not None
     ]

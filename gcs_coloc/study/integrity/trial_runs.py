@@ -49,7 +49,10 @@ class RunOptions:
 
 
 def flown_with(estimator: str) -> dict[str, str]:
-    """Return what flights depend on besides class and seed: the program, and the estimator. Raises EstimatorError."""
+    """Return what flights depend on besides class and seed: the program, and the estimator.
+
+    Raises EstimatorError.
+    """
     return {"program": program_digest(), "estimator": estimator, "plug_in": plug_in_digest(estimator)}
 
 
