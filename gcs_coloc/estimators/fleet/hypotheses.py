@@ -24,6 +24,7 @@ from gcs_coloc.estimators.fleet.ambiguity.reflection import (
     CLEARLY_ASIDE_SIGMAS,
     ReflectionPlane,
     find_joint_reflection,
+    find_reflected_start,
     find_reflection_plane,
     mixture,
     offset_sigmas,
@@ -168,7 +169,11 @@ class FleetHypotheses:
         evidence = self.main.records[denied_vehicle].reflection_evidence
         plane = plane_of_refused_ranges(evidence, cluster, denied_vehicle, at_s)
         plane = plane or find_reflection_plane(cluster, denied_vehicle, at_s)
-        return plane_after_gap(before, cluster, denied_vehicle, at_s) if plane is None and before is not None else plane
+        if plane is None and before is not None:
+            plane = plane_after_gap(before, cluster, denied_vehicle, at_s)
+        if plane is None and self.main.records[denied_vehicle].began_on_either_side:
+            plane = find_reflected_start(cluster, denied_vehicle, at_s)
+        return plane
 
     def _judge(self, group: frozenset[int], at_s: float) -> None:
         """Decide between the main model and the hypothesis that some denied vehicles are reflected, where that is possible."""
@@ -192,6 +197,9 @@ class FleetHypotheses:
             del self.hypotheses[group]
             if hypothesis.log_odds > 0.0:
                 self._replace_main(group, hypothesis)
+            if abs(hypothesis.log_odds) > _DECIDED_LOG_ODDS:
+                for vehicle in group:
+                    self.main.records.writable(vehicle).began_on_either_side = False
             cluster = self.main.clusters[min(group)]
             found = {vehicle: plane for vehicle, plane in planes.items() if plane is not None}
             if (

@@ -46,7 +46,7 @@ def initialise_from_reports(clusters: ClusterSet, records: Records, vehicle: int
     white, coloured = split_report_noise(record, first, s)
     record.time_stamp_offset_sigma_s = time_stamp_offset_sigma_s(first, s)
     (record.report_error_sigma_h_m, record.report_error_sigma_v_m), record.baro_error_sigma_m = coloured, 0.0
-    record.attitude = None
+    record.attitude, record.began_on_either_side = None, False
     record.updated_at_s = record.velocity_used_at_s = first.measured_at_s
     # Speeds all over the disc of those that the vehicle reaches.
     speed_sigmas_mps = 0.5 * record.profile.max_speed_mps, record.profile.max_climb_mps
@@ -90,7 +90,8 @@ def initialise_from_ranges(clusters: ClusterSet, records: Records, vehicle: int,
     if at_s - record.initialisation_tried_at_s < _TRY_EVERY_S:
         return False
     record.initialisation_tried_at_s = at_s
-    solution = solve_multilateration(_multilateration_problem(records, vehicle, at_s, s), s.limit_sigma_m)
+    problem = _multilateration_problem(records, vehicle, at_s, s)
+    solution = solve_multilateration(problem, s.limit_sigma_m)
     if isinstance(solution, StatedReason):
         record.no_estimate_reason = solution
         return False
@@ -99,6 +100,7 @@ def initialise_from_ranges(clusters: ClusterSet, records: Records, vehicle: int,
     record.attitude = None
     record.updated_at_s = record.told_at_s = at_s
     record.range_measurements = ()
+    record.began_on_either_side = float(solution[1][2, 2]) > problem.straight_m2()
     clusters.initialise(vehicle, *block_from_estimate(*solution, s), at_s)
     return True
 

@@ -81,6 +81,34 @@ def find_reflection_plane(cluster: Cluster, denied_vehicle: int, at_s: float) ->
     return _test_plane(view, normal, axes[:, 1:], float(spreads[1]))
 
 
+def find_reflected_start(cluster: Cluster, denied_vehicle: int, at_s: float) -> ReflectionPlane | None:
+    """Return the level plane of peers on whose other side a vehicle with an open height may have begun.
+
+    None with fewer than three peers, where it is not clearly aside yet, or the ranges separate the sides. Neither its distance
+    nor its climb counts: from a height as uncertain as that, a filter comes to one of the sides by chance. Nor does a height of
+    its own: which of both states fits it is decided by their odds.
+    """
+    peers = list(cluster.peers_in_use(denied_vehicle, at_s))
+    if len(peers) < 3:
+        return None
+    view = PeerGeometry(cluster, denied_vehicle, peers, at_s)
+    offsets, offset = np.array(view.offsets), np.array(view.offset)
+    spreads, axes = np.linalg.eigh(offsets.T @ offsets)
+    normal, within = axes[:, 0], axes[:, 1:]
+    variances_m2, across_m2, _ = view.seen_from(normal)
+    away_m = abs(float(offset @ normal))
+    if abs(float(normal[2])) < _LEVEL or away_m < CLEARLY_ASIDE_SIGMAS * math.sqrt(across_m2):
+        return None
+    if math.sqrt(float(spreads[1])) < _LEAST_SPREAD_SIGMAS * math.sqrt(float(variances_m2.max())):
+        return None
+    is_separated = view.range_separation(normal, away_m, variances_m2) > SEPARATED
+    if is_separated and not view.has_second_place(normal, within, across_m2):
+        return None
+    return ReflectionPlane(
+        np.array(view.centre), normal, _plane_speed(view, offsets @ within, offset @ within, normal), is_separated
+    )
+
+
 def find_joint_reflection(cluster: Cluster, denied_vehicle: int, at_s: float) -> dict[int, ReflectionPlane] | None:
     """Return the plane at each of several denied vehicles that may have changed sides together, or None.
 

@@ -127,6 +127,8 @@ class VehicleRecord:
     """What it may have done in its last gap beyond what it has shown before."""
     velocity_used_at_s: float = -math.inf
     """Time of the last position report whose velocity was used."""
+    began_on_either_side: bool = False
+    """Whether its first ranges left its height so open that it may have begun above or below its peers, and nothing has since."""
     height_at_s: float = -math.inf
     """Time of the last barometric height."""
     height_innovation_m: float = 0.0

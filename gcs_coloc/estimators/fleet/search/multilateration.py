@@ -44,6 +44,9 @@ _CLEARLY_WORSE = 15.0
 _DISTINCT_NIS = 25.0
 """Chosen: minima five sigmas apart horizontally are different positions."""
 _VELOCITY_PRIOR_MPS = (30.0, 30.0, 5.0)  # chosen: 1-sigma of a small aircraft, east, north, up
+_STRAIGHT = 0.25
+"""Chosen: a height one sigma off bends a range by so many of its sigmas. With 1.0 one of twelve starts (test_reflected_start.py)
+counted as known that the filter took to the wrong side."""
 _HEIGHT_PRIOR_M = 300.0
 """Chosen: priors as wide as small aircraft fly, about rest and the mean height of the peers."""
 _ROUGH_MOST_SIGMAS = 50.0
@@ -86,6 +89,13 @@ class MultilaterationProblem:
                 for peer, t, e, n, u, r, sigma, peer_sigma in self._rows
             ]
         )
+
+    def straight_m2(self) -> float:
+        """Return the variance up to which a height is known well enough to linearise ranges, m^2.
+
+        The height is across the lines of sight.
+        """
+        return min(2.0 * _STRAIGHT * range_m * sigma_m for *_, range_m, sigma_m, _ in self._rows)
 
     def heights(self) -> FloatArray:
         """Return (m, 3): time s, height, sigma inflated so that together they carry the information of one: coloured error."""
