@@ -300,9 +300,8 @@ class RangeConsistency:
     def also(self) -> dict[frozenset[int], float] | None:
         """Receivers that may be off besides those detected, or instead, each set with its odds at most.
 
-        None where none is detected.
-
-        Nothing shows that they are. What was ruled out is so by the margin of the isolation and no more.
+        Nothing shows that they are. What was ruled out is so by the margin of the isolation and no more. None where no fault is
+        detected.
         """
         if not self.detected:
             return None

@@ -97,9 +97,7 @@ class Isolation:
     def also(self) -> dict[frozenset[int], float]:
         """Receivers that may be off besides those of a smaller explanation, each set with its odds.
 
-        The odds are those beside the smaller explanation, at most 1.
-
-        Nothing shows that they are off: the ranges fit without it.
+        Nothing shows that they are off: the ranges fit without it. The odds are those beside the smaller explanation, at most 1.
         """
         also: dict[frozenset[int], float] = {}
         for explanation in self.plausible:

@@ -140,6 +140,15 @@ def test_a_receiver_that_has_always_been_a_little_off_is_not_trusted_but_not_nam
     assert detected[-1] == {4}
 
 
+def test_while_a_fault_is_detected_each_position_in_use_may_be_off_by_the_odds_that_rule_it_out():
+    monitor = RangeConsistency()
+    assert monitor.also is None
+    for _ in fly(monitor, 20.0, detours_m=no_detours, errors_m=receiver_4_is_off_by(12.0)):
+        pass
+    assert monitor.detected == {4}
+    assert all(monitor.also[frozenset((vehicle,))] >= 1.0 / 150.0 for vehicle in (1, 2, 3))
+
+
 @pytest.mark.parametrize(("size_m", "since_s"), [(30.0, 0.0), (12.0, 15.0)])
 def test_a_receiver_is_named_that_is_far_off_or_that_has_changed(size_m, since_s):
     monitor = RangeConsistency()
