@@ -180,7 +180,7 @@ def planning(
     resume: ResumeOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print every window as JSON.")] = False,
 ) -> None:
-    """Check what `gcs-coloc plan` predicts on ten plans of different kind against drawn flights through the fleet filter."""
+    """Check what `gcs-coloc plan` predicts on ten plans of different kind against drawn flights through the whole engine."""
     from gcs_coloc.study.planning.check_plans import CHECK_PLANS
     from gcs_coloc.study.planning.plan_check import PlanCheck, check_table, run_checks
 

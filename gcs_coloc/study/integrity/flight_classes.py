@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from math import inf
 
 Span = tuple[float, float]
 """Bounds between which a value is drawn uniformly for each flight."""
@@ -100,12 +101,21 @@ class FlightClass:
     """Slow error that all receivers share."""
     gnss_stated: Span = (1.0, 1.5)
     """Stated accuracy over the true standard deviation."""
+    filters_positions: bool = True
+    """Whether an autopilot filters its position.
+
+    Else the white noise of its receiver is in it.
+    """
+    position_hz: float = 5.0
+    """How often an autopilot reports its position."""
     height_drift_m: Span = (0.3, 1.0)
     """Slow error of each barometer over 200 s."""
     height_bias_m: Span = (0.0, 0.5)
     # Ranges
     range_sigma_m: Span = (1.0, 1.0)
     range_hz: Span = (5.0, 5.0)
+    max_range_m: float = inf
+    """Beyond it there is no range."""
     range_noise: RangeNoise = RangeNoise.GAUSS
     range_bias_m: Span = (0.0, 0.0)
     """Lasting error of each device, of either sign."""

@@ -13,7 +13,7 @@ from gcs_coloc.study.integrity.flight_classes import FlightClass, Layout, Motion
 
 STEP_S = 0.05
 """Step of the true motion; measurements lie between two steps. Chosen: 0.5 m at 10 m/s, straight within a millimetre."""
-_GRAVITY_MPS2 = 9.80665  # source: standard gravity, ISO 80000-3
+GRAVITY_MPS2 = 9.80665  # source: standard gravity, ISO 80000-3
 _PLANE_SPEED_MPS = (14.0, 28.0)  # chosen: small fixed-wing aircraft
 _COPTER_SPEED_MPS = (4.0, 14.0)  # chosen: multirotors on missions
 _HEIGHT_M = (60.0, 200.0)  # chosen: where small aircraft fly
@@ -128,7 +128,7 @@ def _plane(
     """Fly level turns of random bank and length with slow climbs; beyond `radius_m` from the centre the plane turns back."""
     speed, steepest = rng.uniform(*_PLANE_SPEED_MPS), radians(rng.uniform(*drawn.bank_deg))
     roll_rate = rng.uniform(*_ROLL_RATE_RADPS)
-    turn_radius_m = speed**2 / (_GRAVITY_MPS2 * tan(_TURN_BACK_BANK))
+    turn_radius_m = speed**2 / (GRAVITY_MPS2 * tan(_TURN_BACK_BANK))
     gusts = gauss_markov(rng, steps, STEP_S, rng.uniform(*drawn.gust_mps), _GUST_TIME_S) * (1.0, 1.0, 0.3)
     (centre_e, centre_n), (wind_e, wind_n, _) = centre_m.tolist(), wind_mps.tolist()
     east, north = (centre_m + rng.uniform(-0.5, 0.5, 2) * radius_m).tolist()
@@ -152,7 +152,7 @@ def _plane(
         velocities.append((ve, vn, vu))
         through_air.append((air_e, air_n))
         attitude.append((bank, climb / speed, remainder(heading, 2.0 * pi)))
-        heading += _GRAVITY_MPS2 * tan(bank) / speed * STEP_S
+        heading += GRAVITY_MPS2 * tan(bank) / speed * STEP_S
         east, north, up = east + ve * STEP_S, north + vn * STEP_S, up + vu * STEP_S
     # A gust is felt at once: what the sensor measures is the motion against the air around it.
     along = (gusts[:, np.newaxis, :2] @ np.array(through_air)[:, :, np.newaxis])[:, 0, 0]
@@ -187,7 +187,7 @@ def _copter(
         forward = acceleration[0] * sin(yaw) + acceleration[1] * cos(yaw)
         right = acceleration[0] * cos(yaw) - acceleration[1] * sin(yaw)
         positions[k], velocities[k] = place, velocity
-        attitude[k] = atan2(right, _GRAVITY_MPS2), -atan2(forward, _GRAVITY_MPS2), yaw
+        attitude[k] = atan2(right, GRAVITY_MPS2), -atan2(forward, GRAVITY_MPS2), yaw
     return Trajectory(positions, velocities, attitude, None)
 
 

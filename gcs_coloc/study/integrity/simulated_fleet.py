@@ -7,7 +7,7 @@ reports dead reckoning, or the fix that it was sent. The vehicles fly where they
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import count
 from math import inf, sqrt
@@ -29,7 +29,7 @@ from gcs_coloc.core.messages.inbound import (
 )
 from gcs_coloc.core.messages.outbound import GpsInput, Outbound, TimeSyncRequest
 from gcs_coloc.study.integrity.flight_classes import FlightClass
-from gcs_coloc.study.integrity.motion import draw_trajectories
+from gcs_coloc.study.integrity.motion import Trajectory, draw_trajectories
 from gcs_coloc.study.integrity.sensor_errors import (
     BarometerJump,
     Fault,
@@ -58,7 +58,7 @@ _STEP_BEYOND_S = 0.001
 _COMPANION_BEHIND_S = 3.0
 """Chosen: nobody has set the clock of a companion computer."""
 _PERIODS_S = {
-    "heartbeat": 1.0, "receiver": 0.2, "position": 0.2, "attitude": 0.1, "airspeed": 0.2, "health": 0.5, "ekf": 0.5, "time": 1.0,
+    "heartbeat": 1.0, "receiver": 0.2, "attitude": 0.1, "airspeed": 0.2, "health": 0.5, "ekf": 0.5, "time": 1.0,
 }  # fmt: skip
 
 
@@ -67,17 +67,31 @@ _Build = Callable[[float], list[Inbound]]
 
 
 class SimulatedFleet:
-    """One draw of a class. `pop` returns what arrives next; `deliver` hands over what the engine sends."""
+    """One draw of a class.
 
-    def __init__(self, drawn: FlightClass, seed: int, duration_s: float) -> None:
+    `pop` returns what arrives next; `deliver` hands over what the engine sends. `courses` are the vehicles' ways, the denied
+    ones first; None: drawn as well. `stations_m` are the true places of fixed stations, m, by node id; the denied vehicles range
+    them.
+    """
+
+    def __init__(
+        self,
+        drawn: FlightClass,
+        seed: int,
+        duration_s: float,
+        courses: Sequence[Trajectory] | None = None,
+        stations_m: Mapping[int, Vector3] | None = None,
+    ) -> None:
         self.drawn, self.duration_s = drawn, duration_s
+        self._stations_m = stations_m or {}
         self._rng = rng = np.random.default_rng([seed, *drawn.name.encode()])
         self.frame = WorldFrame(rng.uniform(-60.0, 60.0), rng.uniform(-180.0, 180.0), rng.uniform(0.0, 600.0))
-        peers = int(rng.integers(drawn.peers[0], drawn.peers[1] + 1))
+        peers = len(courses) - drawn.denied if courses is not None else int(rng.integers(drawn.peers[0], drawn.peers[1] + 1))
         self.denied = tuple(range(DENIED, DENIED + drawn.denied))
         self.peers = tuple(range(1, peers + 1))
         sysids = (*self.denied, *self.peers)
-        courses = draw_trajectories(rng, drawn, duration_s, len(sysids))
+        if courses is None:
+            courses = draw_trajectories(rng, drawn, duration_s, len(sysids))
         common_m = ReceiverErrors.common_m(rng, drawn, duration_s)
         delay_s = rng.uniform(*drawn.delay_s)
         self._vehicles: dict[int, SimulatedVehicle] = {}
@@ -85,7 +99,7 @@ class SimulatedFleet:
             errors = ReceiverErrors(rng, drawn, common_m, duration_s)
             link = LinkErrors(rng, drawn, delay_s if drawn.is_delay_alike else rng.uniform(*drawn.delay_s), duration_s)
             reckoning_mps = scaled(rng.uniform(0.3, 3.0), direction(rng))
-            vehicle = SimulatedVehicle(sysid, self.frame, rng, drawn.backlog_s, course, errors, link, reckoning_mps)
+            vehicle = SimulatedVehicle(sysid, self.frame, rng, drawn, course, errors, link, reckoning_mps)
             self._vehicles[sysid] = vehicle
         self.lost_at_s = rng.uniform(*drawn.lost_at_s)
         self.fault_at_s = inf
@@ -186,6 +200,9 @@ class SimulatedFleet:
                     # The responder's part of a two-way range is half of the measuring device's.
                     bias_m, scale = (devices[a][k] + 0.5 * devices[b][k] for k in (0, 1))
                     pairs[a, b] = PairErrors(rng, drawn, sigma_m, bias_m, scale, self.duration_s)
+        for station in self._stations_m:
+            for a in self.denied:
+                pairs[a, station] = PairErrors(rng, drawn, sigma_m, devices[a][0], devices[a][1], self.duration_s)
         return pairs
 
     # Events
@@ -209,8 +226,9 @@ class SimulatedFleet:
                 builders |= {"attitude": vehicle.attitude_messages, "airspeed": vehicle.airspeed_messages}
             if drawn.has_utc:
                 builders["time"] = vehicle.system_time_messages
+            periods_s = _PERIODS_S | {"position": 1.0 / drawn.position_hz}
             for name, build in builders.items():
-                self._repeat(rng.uniform(0.0, _PERIODS_S[name]), _PERIODS_S[name], vehicle, build)
+                self._repeat(rng.uniform(0.0, periods_s[name]), periods_s[name], vehicle, build)
         period_s = 1.0 / rng.uniform(*drawn.range_hz)
         for pair in self._pairs:
             reporter = self._vehicles[pair[0]]
@@ -247,11 +265,14 @@ class SimulatedFleet:
             self._push(t, GlobalPosition(_ORIGIN_SETTER, t, t, lat, lon, alt, 0.0, 0.0, 0.0))
 
     def _range_messages(self, vehicle: SimulatedVehicle, pair: tuple[int, int], at_s: float) -> list[Inbound]:
-        peer = self._vehicles[pair[1]]
-        if is_within(self._silences, at_s) or peer.link.is_off(at_s):
+        peer = self._vehicles.get(pair[1])
+        if is_within(self._silences, at_s) or (peer is not None and peer.link.is_off(at_s)):
             return []
-        apart_m = np.subtract(vehicle.course.position(at_s), peer.course.position(at_s))
+        there_m = peer.course.position(at_s) if peer is not None else self._stations_m[pair[1]]
+        apart_m = np.subtract(vehicle.course.position(at_s), there_m)
         true_m = sqrt(apart_m.dot(apart_m))
+        if true_m > self.drawn.max_range_m:
+            return []
         errors = self._pairs[pair]
         range_m = errors.measure(true_m, at_s)
         if range_m is None:

@@ -22,6 +22,7 @@ from gcs_coloc.core.messages.inbound import (
     SystemTime,
 )
 from gcs_coloc.core.messages.outbound import GpsInput
+from gcs_coloc.study.integrity.flight_classes import FlightClass
 from gcs_coloc.study.integrity.motion import Trajectory
 from gcs_coloc.study.integrity.sensor_errors import BarometerJump, Fault, LinkErrors, PitotFailure, ReceiverErrors, scaled
 from sitl_fakes.geodesy import WorldFrame
@@ -40,13 +41,13 @@ _NOWHERE: Vector3 = (0.0, 0.0, 0.0)
 class SimulatedVehicle:
     """One vehicle: its motion and errors, faults, and the last fix that it was sent (when, ENU m, m/s).
 
-    `frame`: that of its motion. `earliest_s`: when the service starts; what arrives before waits for it.
+    `frame`: that of its motion. `drawn`: the class that it is drawn from.
     """
 
     sysid: int
     frame: WorldFrame
     rng: np.random.Generator
-    earliest_s: float
+    drawn: FlightClass
     course: Trajectory
     receiver: ReceiverErrors
     link: LinkErrors
@@ -79,8 +80,11 @@ class SimulatedVehicle:
         return self.aid is not None and at_s - self.aid[0] < _AID_FRESH_S and not self.has_fix(at_s)
 
     def arrival_s(self, at_s: float) -> float:
-        """Return when what it sends at a time is received."""
-        return max(self.link.arrival_s(at_s), self.earliest_s)
+        """Return when what it sends at a time is received.
+
+        What arrives before the service's start waits for it.
+        """
+        return max(self.link.arrival_s(at_s), self.drawn.backlog_s)
 
     def set_aid(self, sent: GpsInput, at_s: float) -> None:
         """Let it have a fix that it was sent."""
@@ -130,6 +134,8 @@ class SimulatedVehicle:
             place, velocity_mps = _plus(place, scaled(lost_s, self.reckoning_mps)), _plus(velocity_mps, self.reckoning_mps)
         elif not self.refuses_receiver(at_s):
             place = _plus(place, self.false_m(at_s))
+            if not self.drawn.filters_positions:
+                place = _plus(place, scaled(errors.white_m, self._white()))
             if self.fault is not None and at_s >= self.fault.at_s:
                 velocity_mps = _plus(velocity_mps, scaled(self.fault.ramp_mps, self.fault.away))
         jump_m = self.barometer_jump.offset_m(at_s) if self.barometer_jump is not None else 0.0

@@ -24,7 +24,8 @@ FLIGHT_S = 240.0
 """Length of a flight; chosen: three minutes and a half without GPS, as long as the batteries of most emergencies."""
 TIME_TO_ALERT_S = 6.0
 """A fix that is wrong for no longer counts as alerted. Source: time to alert of an approach with vertical guidance (ICAO)."""
-_SAMPLE_S = 0.2  # chosen: as often as the fleet is reviewed
+SAMPLE_S = 0.2
+"""Every vehicle is sampled so often. Chosen: as often as the fleet is reviewed."""
 _AGE_S = 0.2
 """Age of the estimate that is judged: that of the fix which is sent by default (`aiding.lag_s`)."""
 _FIX_LASTS_S = 0.35
@@ -114,7 +115,15 @@ def fly_trial(
     name: str, seed: int, estimator: str = "fleet", trace: Trace | None = None, duration_s: float = FLIGHT_S
 ) -> TrialScore:
     """Fly one draw of a class through a fresh engine and return what it came to."""
-    return _Trial(name, seed, estimator, trace, duration_s).run()
+    fleet = SimulatedFleet(CLASSES[name], seed, duration_s)
+    return fly_fleet(fleet, EngineSettings(request_streams=False), TrialScore(name, seed), estimator, trace)
+
+
+def fly_fleet(
+    fleet: SimulatedFleet, settings: EngineSettings, score: TrialScore, estimator: str = "fleet", trace: Trace | None = None
+) -> TrialScore:
+    """Fly a fleet through a fresh engine, add what it came to to the score, and return it."""
+    return _Trial(fleet, settings, score, estimator, trace).run()
 
 
 def write_trace(name: str, seed: int, estimator: str, path: Path) -> TrialScore:
@@ -133,11 +142,11 @@ def write_trace(name: str, seed: int, estimator: str, path: Path) -> TrialScore:
 
 
 class _Trial:
-    def __init__(self, name: str, seed: int, estimator: str, trace: Trace | None, duration_s: float) -> None:
-        self._fleet = SimulatedFleet(CLASSES[name], seed, duration_s)
-        self._engine = Engine(load_estimator(estimator, {}), EngineSettings(request_streams=False))
-        self._score = TrialScore(name, seed)
-        self._trace = trace
+    def __init__(
+        self, fleet: SimulatedFleet, settings: EngineSettings, score: TrialScore, estimator: str, trace: Trace | None
+    ) -> None:
+        self._fleet, self._score, self._trace = fleet, score, trace
+        self._engine = Engine(load_estimator(estimator, {}), settings)
         self._alert_limit_m = AidingSettings().alert_limit_m
         self._fix_at_s: dict[int, float] = {}
         self._failed: set[int] = set()
@@ -147,13 +156,13 @@ class _Trial:
 
     def run(self) -> TrialScore:
         fleet, engine = self._fleet, self._engine
-        sample_s = fleet.drawn.backlog_s + _SAMPLE_S
+        sample_s = fleet.drawn.backlog_s + SAMPLE_S
         while True:
             at_s, message = fleet.pop()
             while sample_s <= min(at_s, fleet.duration_s):
                 self._poll(sample_s)
                 self._sample(sample_s)
-                sample_s += _SAMPLE_S
+                sample_s += SAMPLE_S
             if at_s > fleet.duration_s:
                 break
             if message is not None:
@@ -189,9 +198,9 @@ class _Trial:
             self._score_fix(sysid, state, at_s, is_sound=is_sound)
 
     def _score_sound(self, sysid: int, state: GpsState, at_s: float) -> None:
-        self._score.sound_s += _SAMPLE_S
+        self._score.sound_s += SAMPLE_S
         if state in DISTRUSTED:
-            self._score.distrusted_s += _SAMPLE_S
+            self._score.distrusted_s += SAMPLE_S
         if state is GpsState.FAILED:
             if sysid not in self._failed:
                 detail = self._engine.gps_health.reason(sysid)
@@ -204,7 +213,7 @@ class _Trial:
         fleet, score = self._fleet, self._score
         has_fix = at_s - self._fix_at_s.get(sysid, -inf) <= _FIX_LASTS_S
         is_denied = sysid in fleet.denied and at_s > fleet.lost_at_s + _SETTLED_S
-        score.under_aid_s += _SAMPLE_S * is_denied
+        score.under_aid_s += SAMPLE_S * is_denied
         if not has_fix and self._trace is None:
             return  # an estimate costs more than all else of a sample
         where = self._engine.estimate(sysid, at_s - _AGE_S)
@@ -218,12 +227,12 @@ class _Trial:
         if not has_fix or error_m is None or bound_m is None:
             return
         if is_denied:
-            score.fix_s += _SAMPLE_S
-            score.covered_s += _SAMPLE_S * (error_m <= bound_m)
-            score.squares_m2s += _SAMPLE_S * error_m**2
+            score.fix_s += SAMPLE_S
+            score.covered_s += SAMPLE_S * (error_m <= bound_m)
+            score.squares_m2s += SAMPLE_S * error_m**2
         if hpl_m is not None:
-            score.hpl_s += _SAMPLE_S
-            score.hpl_m_s += _SAMPLE_S * hpl_m
+            score.hpl_s += SAMPLE_S
+            score.hpl_m_s += SAMPLE_S * hpl_m
         wrong = {
             EventKind.BEYOND_BOUNDS: error_m > _FAR_BEYOND * bound_m,
             EventKind.BEYOND_HPL: hpl_m is not None and error_m > hpl_m,
@@ -240,7 +249,7 @@ class _Trial:
             event = self._open[key] = TrialEvent(kind, sysid, at_s, at_s, error_m, bound_m)
             self._stretch_s[key] = at_s
             self._score.events.append(event)
-        elif at_s - event.until_s > 1.5 * _SAMPLE_S:
+        elif at_s - event.until_s > 1.5 * SAMPLE_S:
             self._stretch_s[key] = at_s
         event.until_s = at_s
         event.lasted_s = max(event.lasted_s, at_s - self._stretch_s[key])

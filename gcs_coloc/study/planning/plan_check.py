@@ -1,8 +1,11 @@
-"""The check of predictions: reached 95 % of drawn flights against the predicted 95 % bound, in windows along the way."""
+"""The check of predictions: drawn flights against what was predicted of them, along the way.
+
+Compared are errors, protection levels and fixes.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +18,7 @@ from gcs_coloc.planning.prediction import predict
 from gcs_coloc.runtime.kept_results import KeptResults
 from gcs_coloc.runtime.tasks import Progress, Workers, run_tasks
 from gcs_coloc.study.planning.check_plans import CHECK_PLANS
-from gcs_coloc.study.planning.drawn_flight import draw_errors
+from gcs_coloc.study.planning.drawn_flight import DrawnFlight, fly_plan
 
 WINDOW_S = 30.0
 """Errors of so long are pooled. Chosen: geometry changes little; of 20 flights the 95 % is then known to about 15 %."""
@@ -33,7 +36,7 @@ class Window:
     """One window of a plan: from when, s; predicted and reached 95 % of the error, m; share of samples without an estimate.
 
     `is_told`: the prediction tells the size of the error here (`Prediction.is_told`). `interval`: 95 % confidence interval of
-    reached over predicted, by the bootstrap over flights.
+    reached over predicted, by the bootstrap over flights. `hpl_ratio`: stated over predicted protection level, the median.
     """
 
     from_s: float
@@ -42,6 +45,7 @@ class Window:
     lost: float
     is_told: bool
     interval: tuple[float, float]
+    hpl_ratio: float
 
     @property
     def ratio(self) -> float:
@@ -70,6 +74,9 @@ class Window:
 class PlanCheck:
     """One plan's check: its windows, how many of the errors are within the predicted bound of their time, and of which share
     of the flight the prediction cannot tell.
+
+    `fix_predicted`, `fix_reached`: share of the flight with a fix. `beyond_hpl`: samples with a fix whose error is beyond the
+    predicted protection level of their time.
     """
 
     name: str
@@ -78,6 +85,9 @@ class PlanCheck:
     windows: tuple[Window, ...]
     covered: float
     not_told: float
+    fix_predicted: float
+    fix_reached: float
+    beyond_hpl: int
 
     @property
     def told(self) -> list[Window]:
@@ -104,10 +114,10 @@ def run_checks(
     return checks
 
 
-def _draw(task: tuple[str, int]) -> tuple[FloatArray, FloatArray]:
+def _draw(task: tuple[str, int]) -> DrawnFlight:
     name, seed = task
     checked = CHECK_PLANS[name]()
-    return draw_errors(checked.plan, checked.denied, seed)
+    return fly_plan(checked.plan, checked.denied, seed)
 
 
 def _predict(name: str) -> Prediction:
@@ -115,39 +125,49 @@ def _predict(name: str) -> Prediction:
     return predict(checked.plan, (checked.denied,))[0]
 
 
-def compare(name: str, text: str, predicted: Prediction, drawn: Sequence[tuple[FloatArray, FloatArray]]) -> PlanCheck:
-    """Compare a prediction with drawn flights where it has a bound."""
-    times_s = drawn[0][0]
-    errors_m = np.stack([errors for _, errors in drawn])
+def compare(name: str, text: str, predicted: Prediction, drawn: Sequence[DrawnFlight]) -> PlanCheck:
+    """Compare a prediction with drawn flights: errors and levels where it has a bound, and fixes."""
+    times_s = drawn[0].at_s
+    is_settled = times_s >= predicted.at_s[0] + _SETTLED_S
     nearest = np.abs(predicted.at_s[:, np.newaxis] - times_s).argmin(axis=0)
-    bound_m = predicted.bound_95_m[nearest]
-    has_bound = np.isfinite(bound_m) & (times_s >= predicted.at_s[0] + _SETTLED_S)
-    windows = tuple(
-        _windows(times_s[has_bound], bound_m[has_bound], errors_m[:, has_bound], predicted.is_told[nearest][has_bound])
+    bound_m, hpl_m, told = predicted.bound_95_m[nearest], predicted.hpl_m[nearest], predicted.is_told[nearest]
+    errors_m, hpls_m, fixes = (
+        np.stack(several) for several in zip(*((flight.error_m, flight.hpl_m, flight.has_fix) for flight in drawn), strict=True)
     )
+    has_bound = np.isfinite(bound_m) & is_settled
+    windows = []
+    for begin_s in np.arange(times_s[has_bound][0], times_s[has_bound][-1], WINDOW_S) if has_bound.any() else ():
+        inside = has_bound & (times_s >= begin_s) & (times_s < begin_s + WINDOW_S)
+        if np.isfinite(errors_m[:, inside]).any():
+            hpl_ratios = hpls_m[:, inside] / hpl_m[inside]
+            windows.append(_window(begin_s, bound_m[inside], errors_m[:, inside], told[inside], hpl_ratios))
     known = np.isfinite(errors_m[:, has_bound])
-    covered = float((errors_m[:, has_bound] <= bound_m[has_bound])[known].mean()) if known.any() else 0.0
-    return PlanCheck(name, text, len(drawn), windows, covered, 1.0 - float(predicted.is_told.mean()))
+    return PlanCheck(
+        name,
+        text,
+        len(drawn),
+        tuple(windows),
+        covered=float((errors_m[:, has_bound] <= bound_m[has_bound])[known].mean()) if known.any() else 0.0,
+        not_told=1.0 - float(predicted.is_told.mean()),
+        fix_predicted=float(predicted.has_fix[nearest][is_settled].mean()),
+        fix_reached=float(fixes[:, is_settled].mean()),
+        beyond_hpl=int(((errors_m > hpl_m) & (fixes > 0.5))[:, is_settled].sum()),
+    )
 
 
-def _windows(times_s: FloatArray, bound_m: FloatArray, errors_m: FloatArray, told: NDArray[np.bool_]) -> Iterable[Window]:
-    for begin_s in np.arange(times_s[0], times_s[-1], WINDOW_S) if len(times_s) else ():
-        inside = (times_s >= begin_s) & (times_s < begin_s + WINDOW_S)
-        errors = errors_m[:, inside]
-        known = errors[np.isfinite(errors)]
-        if len(known):
-            # Bounds that change within a window: the errors are compared by their ratio to them.
-            middle_m = float(np.median(bound_m[inside]))
-            ratios = errors / bound_m[inside]
-            scaled = ratios[np.isfinite(ratios)]
-            yield Window(
-                float(begin_s),
-                middle_m,
-                middle_m * float(np.quantile(scaled, 0.95)),
-                1.0 - len(known) / errors.size,
-                bool(told[inside].all()),
-                _interval(ratios),
-            )
+def _window(begin_s: float, bound_m: FloatArray, errors_m: FloatArray, told: NDArray[np.bool_], hpl_ratios: FloatArray) -> Window:
+    # Bounds that change within a window: the errors are compared by their ratio to them.
+    middle_m, ratios = float(np.median(bound_m)), errors_m / bound_m
+    known, known_hpl = ratios[np.isfinite(ratios)], hpl_ratios[np.isfinite(hpl_ratios)]
+    return Window(
+        float(begin_s),
+        middle_m,
+        middle_m * float(np.quantile(known, 0.95)),
+        1.0 - len(known) / errors_m.size,
+        bool(told.all()),
+        _interval(ratios),
+        float(np.median(known_hpl)) if len(known_hpl) else float("nan"),
+    )
 
 
 def _interval(ratios: FloatArray) -> tuple[float, float]:
@@ -170,14 +190,27 @@ def check_table(checks: Sequence[PlanCheck]) -> Table:
     """Return a row for each plan: how many windows are close, median of reached over predicted, errors within their bound."""
     table = Table()
     headings = ("plan", "kind", "predicted 95 % m", "reached / predicted", "told and within 20 %")
-    for heading in (*headings, "shown within", "shown outside", "covered", "cannot tell"):
+    levels = (
+        "shown within",
+        "shown outside",
+        "covered",
+        "cannot tell",
+        "HPL stated / predicted",
+        "within 20 %",
+        "beyond predicted HPL",
+    )
+    for heading in (*headings, *levels, "fix predicted", "fix reached"):
         table.add_column(heading, justify="left" if heading in ("plan", "kind") else "right")
     for check in checks:
-        levels = [window.predicted_m for window in check.windows]
-        span = f"{min(levels):.1f} to {max(levels):.1f}" if levels else "-"
+        bounds_m = [window.predicted_m for window in check.windows]
+        span = f"{min(bounds_m):.1f} to {max(bounds_m):.1f}" if bounds_m else "-"
         counted = f"{sum(window.is_close for window in check.told)} of {len(check.told)}"
         shown = str(sum(window.is_shown_close for window in check.told))
         outside = str(sum(not window.may_be_close for window in check.told))
         shares = (f"{check.median_ratio:.2f}", counted, shown, outside, f"{check.covered:.1%}", f"{check.not_told:.0%}")
-        table.add_row(check.name, check.text, span, *shares)
+        hpl = [window.hpl_ratio for window in check.told if np.isfinite(window.hpl_ratio)]
+        close = f"{sum(abs(ratio - 1.0) <= _CLOSE for ratio in hpl)} of {len(hpl)}"
+        ratio = f"{np.median(hpl):.2f}" if hpl else "-"
+        fixes = f"{check.fix_predicted:.1%}", f"{check.fix_reached:.1%}"
+        table.add_row(check.name, check.text, span, *shares, ratio, close, str(check.beyond_hpl), *fixes)
     return table
