@@ -1,7 +1,7 @@
 """Detects and identifies faulty reported positions over time, from the tests of single epochs (`fault_tests`, `isolation`).
 
 Each review tests the present epoch alone and against epochs some seconds earlier. This module has what the tests need of memory:
-how many independent samples in a row isolate a vehicle, how long a detection lasts, and how the solution separation decays.
+how many independent samples in a row isolate a vehicle, and how the solution separation decays (`detection`: who is detected).
 Samples are independent where their windows do not overlap: an outlier that lasts as long as a window is in one of them only.
 """
 
@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gcs_coloc.core.integrity.detection import Detection
 from gcs_coloc.core.integrity.epoch_tests.accuracy_evidence import AccuracyEvidence
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, EpochHistory, Past
 from gcs_coloc.core.integrity.epoch_tests.fault_tests import FaultTestResult, SignificanceLevels, run_tests
@@ -34,9 +35,6 @@ _COARSE_SIGMAS = 16.0
 _COARSE_CHANGE_SIGMAS = 12.0
 """The same of the change of its offset, in sigmas of a Gauss-Markov process. Chosen: three of such a receiver. With four a walk
 of 2 m/s that sets out from 1.3 m would be named after 9 s."""
-_CLEARED_AFTER_S = 6.0
-"""So long after the ranges last allowed a vehicle to be at fault it is detected no more. Chosen: four samples that share no
-range, each of which holds it against all that it explains."""
 _PAIRS_FAIL_FOR_S = 60.0
 """For so long after pairs were off several may be at once. Chosen: a fleet takes as long to leave buildings and hills behind."""
 
@@ -87,24 +85,20 @@ class RangeConsistency:
     """The consistency monitor of one fleet.
 
     `epoch` is the newest one, with the pairs that are ranged seldom, `stated_epoch` that with its noise as stated. `identified`
-    are the faulty vehicles, `detected` those among which a fault is not isolated. `separation_m2` has, for each vehicle without
-    prior, the second moment (2, 2) of its solution separation, m^2. `noise` is how much worse ranges and positions were found to
-    be than they state.
+    are the faulty vehicles. `separation_m2` has, for each vehicle without prior, the second moment (2, 2) of its solution
+    separation, m^2. `noise` is how much worse ranges and positions were found to be than they state.
     """
 
     def __init__(self, settings: ConsistencySettings | None = None) -> None:
         self.settings = settings if settings is not None else ConsistencySettings()
         self.stated_epoch = self.epoch = Epoch(float("-inf"), {}, ())
         self.identified: dict[int, IdentifiedFault] = {}
-        self.detected: frozenset[int] = frozenset()
         self.separation_m2: dict[int, FloatArray] = {}
         self.noise = NoiseModel()
         self._fault_monitor = FaultMonitor(self.settings.fault_monitor)
         self._residuals = RangeResidualBuffer(self.settings.residuals, self._fault_monitor)
         self._decayed_m2: dict[int, FloatArray] = {}
-        self._monitored_until_s: dict[int, float] = {}
-        self._possible_until_s: dict[int, float] = {}
-        self._also: dict[float, dict[frozenset[int], float]] = {}
+        self._detection = Detection()
         s = self.settings
         self._epochs = self._no_epochs()
         self._persistence = {interval_s: IsolationPersistence() for interval_s in (0.0, *s.intervals_s)}
@@ -115,6 +109,16 @@ class RangeConsistency:
         self._accuracy = AccuracyEvidence()
         self._due_s = float("-inf")
         self._tested_s = float("-inf")
+
+    @property
+    def detected(self) -> frozenset[int]:
+        """The vehicles among which a fault is not isolated."""
+        return self._detection.vehicles
+
+    @property
+    def also(self) -> dict[frozenset[int], float] | None:
+        """Receivers in use that may be off as well, or instead, with their odds (`Detection.also`)."""
+        return self._detection.also(self.epoch.reporting, self.settings.levels.margin)
 
     def add_position(self, vehicle: int, point: TrackPoint) -> None:
         """Add a vehicle's position. When it gains or loses its prior, its residuals so far are dropped."""
@@ -190,12 +194,10 @@ class RangeConsistency:
     def _run_fault_monitor(self, epoch: Epoch, now_s: float) -> None:
         """Detect faults from the ranges of denied vehicles, where no ranges among other vehicles can test more."""
         self._fault_monitor.step(now_s - self.settings.residuals.wait_s, self.detected | self.identified.keys(), self.noise)
-        pairs = (residual.pair for residual in epoch.residuals)
+        pairs, found = (residual.pair for residual in epoch.residuals), frozenset[int]()
         if not any(not epoch.priors[a].no_prior and not epoch.priors[b].no_prior for a, b in pairs):
-            until_s = now_s + self.settings.detection_hold_s
-            self._monitored_until_s |= dict.fromkeys(self._fault_monitor.detected(), until_s)
-        self._monitored_until_s = {v: until_s for v, until_s in self._monitored_until_s.items() if until_s > now_s}
-        self.detected |= frozenset(self._monitored_until_s)
+            found = self._fault_monitor.detected()
+        self._detection.add_monitored(found, now_s, self.settings.detection_hold_s)
 
     def _test(self, stated: Epoch, noise: NoiseModel, not_used: Collection[int] = ()) -> _Tests:
         """Test an epoch with some noise, alone and against earlier ones.
@@ -214,16 +216,12 @@ class RangeConsistency:
         epoch, pasts, results = tests
         if not results:
             if now_s - self._tested_s > _HOLD_WINDOWS * self.settings.residuals.window_s:
-                self._end_detection()
+                self._detection.end_of_tests()
             return
         self._tested_s = now_s
         self._update_faults(now_s, results, epoch, pasts, doubtful)
         if all(result.is_clear for result in results.values()):
-            self._end_detection()
-
-    def _end_detection(self) -> None:
-        self._possible_until_s, self._also = {}, {}
-        self.detected = frozenset(self._monitored_until_s)
+            self._detection.end_of_tests()
 
     def _update_faults(
         self,
@@ -266,50 +264,22 @@ class RangeConsistency:
             peers = {v for residual in epoch.residuals for v in residual.pair if vehicle in residual.pair}
             self.identified[vehicle] = IdentifiedFault(tuple(sorted(peers - identified.keys())), size_m)
         if identified:
-            self.detected, self._possible_until_s, self._also = frozenset(), {}, {}
+            self._detection.clear()
             for each in self._persistence.values():
                 each.reset()
             return
         if coarse:
-            # The ranges say of all others that they are right.
-            self._possible_until_s, self._also = dict.fromkeys(coarse, now_s + _CLEARED_AFTER_S), {}
-            self.detected = frozenset(coarse)
+            self._detection.limit_to(coarse, now_s)
             return
-        self._detect({at: sample for at, sample in samples.items() if not sample.is_range_fault}, now_s)
-
-    def _detect(self, samples: Mapping[float, Isolation], now_s: float) -> None:
-        """Update who may be at fault, where nobody is identified."""
-        if not samples:
-            return
-        self._also |= {interval_s: sample.also for interval_s, sample in samples.items()}
-        possible = {
+        of_positions = {at: sample for at, sample in samples.items() if not sample.is_range_fault}
+        suspected = {
             vehicle
-            for interval_s, sample in samples.items()
+            for interval_s, sample in of_positions.items()
             if not sample.isolated
             for vehicle, times in self._persistence[interval_s].possible.items()
             if times >= self.settings.detect_after
         }
-        # One fault explains the contradictions at all intervals.
-        explained = [sample.possible for sample in samples.values() if sample.plausible]
-        in_all = {v for v in possible | self._possible_until_s.keys() if all(v in each for each in explained)}
-        self._possible_until_s |= dict.fromkeys(in_all or possible, now_s + _CLEARED_AFTER_S)
-        self._possible_until_s = {v: until_s for v, until_s in self._possible_until_s.items() if until_s > now_s}
-        self.detected = frozenset(self._possible_until_s.keys() | self._monitored_until_s.keys())
-
-    @property
-    def also(self) -> dict[frozenset[int], float] | None:
-        """Receivers that may be off besides those detected, or instead, each set with its odds at most.
-
-        Nothing shows that they are. What was ruled out is so by the margin of the isolation and no more. None where no fault is
-        detected.
-        """
-        if not self.detected:
-            return None
-        ruled_out = exp(-0.5 * self.settings.levels.margin)
-        likeliest = {frozenset((v,)): ruled_out for v in self.epoch.reporting - self.detected}
-        for vehicles, odds in (each for also in self._also.values() for each in also.items()):
-            likeliest[vehicles] = max(likeliest.get(vehicles, 0.0), odds)
-        return likeliest
+        self._detection.add_samples(of_positions, suspected, now_s)
 
     def _may_be_coarse(self, vehicle: int, sample: Isolation, epoch: Epoch, past: Past) -> bool:
         """Whether an isolated receiver is off, and has changed, by no more than a sound one may that states too little."""

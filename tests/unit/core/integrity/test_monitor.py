@@ -20,7 +20,11 @@ from bench.integrity_flights import (
 )
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
+from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.gps_health import GpsState
+from gcs_coloc.core.integrity.monitor import IntegrityMonitor
+from gcs_coloc.core.integrity.report import ReviewedVehicle
+from gcs_coloc.core.measurements import PositionMeasurement, RangeMeasurement
 
 SOUND = (GpsState.HEALTHY, GpsState.UNKNOWN)
 
@@ -153,3 +157,20 @@ def test_in_fault_free_flight_with_few_ranges_the_bound_is_little_inflated():
             own_m = horizontal_bound_95_m(engine.estimator.estimate(DENIED, t).covariance)
             wider.append(error_and_bound_m(engine, flight, t)[1] / own_m)
     assert np.mean(wider) < 1.2
+
+
+def test_who_is_suspect_is_tested_but_counts_as_no_anchor_in_the_level():
+    places_m = {1: (0.0, 0.0, 100.0), 2: (500.0, 20.0, 110.0), 3: (480.0, 520.0, 95.0), 4: (-30.0, 470.0, 105.0)}
+    monitor, frame = IntegrityMonitor(), LocalFrame(47.0, 8.0, 500.0)
+    vehicles = [ReviewedVehicle(v, GpsState.HEALTHY, is_trusted=v != 4, is_witness=True, is_automatic=True) for v in places_m]
+    for step in range(1, 20):
+        t = 0.2 * step
+        for v, place in places_m.items():
+            monitor.add_position(PositionMeasurement(v, t, t, place, 1.5, 2.4, (0.0, 0.0, 0.0), 0.3))
+            for peer in range(v + 1, 5):
+                monitor.add_range(
+                    RangeMeasurement(v, peer, t - 0.01, t, float(np.linalg.norm(np.subtract(place, places_m[peer]))), 0.5)
+                )
+        monitor.review(t + 0.05, vehicles, frame)
+    assert 4 in monitor.epoch.priors
+    assert monitor.epoch.reporting == {1, 2, 3}

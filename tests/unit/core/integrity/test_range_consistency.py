@@ -33,7 +33,7 @@ def no_errors(_at_s):
     return {}
 
 
-def fly(monitor, until_s, seed=4, detours_m=half_of_the_pairs, errors_m=no_errors, doubtful=()):
+def fly(monitor, until_s, seed=4, detours_m=half_of_the_pairs, errors_m=no_errors, doubtful=(), not_used=()):
     """Four vehicles that hover and range each other, some pairs past an obstacle. Yields after each review.
 
     `errors_m`: what the receivers of vehicles are off at a time, east and north; they state 1.5 m.
@@ -61,7 +61,7 @@ def fly(monitor, until_s, seed=4, detours_m=half_of_the_pairs, errors_m=no_error
                         float(np.linalg.norm(np.subtract(PLACES_M[i], PLACES_M[j]))) + detour_m + 0.5 * rng.standard_normal()
                     )
                     monitor.add_range(RangeMeasurement(i, j, at_s - 0.01, at_s, range_m, 0.5))
-        monitor.review(at_s + 0.05, doubtful)
+        monitor.review(at_s + 0.05, doubtful, not_used)
         yield at_s
 
 
@@ -149,6 +149,17 @@ def test_while_a_fault_is_detected_each_position_in_use_may_be_off_by_the_odds_t
     assert all(monitor.also[frozenset((vehicle,))] >= 1.0 / 150.0 for vehicle in (1, 2, 3))
 
 
+def test_a_position_that_is_not_used_is_tested_but_is_none_of_those_that_the_level_is_of():
+    monitor = RangeConsistency()
+    for _ in fly(monitor, 6.0, detours_m=no_detours, not_used=(4,)):
+        assert monitor.epoch.reporting <= {1, 2, 3}
+        assert monitor.stated_epoch.reporting <= {1, 2, 3}
+    assert monitor.epoch.reporting == {1, 2, 3}
+    for at_s in fly(monitor, 20.0, detours_m=no_detours, errors_m=receiver_4_is_off_by(40.0), not_used=(4,)):
+        if at_s > 15.0:
+            assert monitor.identified.keys() == {4}
+
+
 @pytest.mark.parametrize(("size_m", "since_s"), [(30.0, 0.0), (12.0, 15.0)])
 def test_a_receiver_is_named_that_is_far_off_or_that_has_changed(size_m, since_s):
     monitor = RangeConsistency()
@@ -175,14 +186,6 @@ def test_a_receiver_that_wanders_as_a_coarse_one_does_is_not_named():
         if at_s > 10.0:
             detected.append(monitor.detected)
     assert sum(each == {4} for each in detected) > 0.5 * len(detected)
-
-
-def test_what_was_detected_of_others_ends_where_one_receiver_that_may_be_coarse_is_isolated():
-    monitor = RangeConsistency()
-    for at_s in fly(monitor, 20.0, detours_m=no_detours, errors_m=receiver_4_is_off_by(12.0)):
-        if at_s == pytest.approx(10.0):
-            monitor.detected = frozenset((1, 2, 3))
-    assert monitor.detected == {4}
 
 
 def test_a_receiver_that_speaks_against_itself_is_named_however_little_it_is_off():
