@@ -24,7 +24,7 @@ from gcs_coloc.recorder.judging.judged_flight import JudgedFlight
 from gcs_coloc.recorder.judging.recordings_below import find_recordings
 from gcs_coloc.runtime.output_paths import check_output_file, make_output_directory
 
-_WORSE = 1
+_WORSE = 3
 _TOLERANCE = Tolerance()
 _FILE_WIDTH = 160  # of a table that goes to a file or pipe
 _SHOWN = ("without_gps_s", "located", "with_fix", "rmse_m", "p95_m", "most_m", "covered_95", "beyond_hpl", "bound_95_m", "hpl_m")
@@ -36,7 +36,7 @@ def judge(
         list[Path], typer.Argument(help="Directories; every recording (*.tlog) below them is judged.", metavar="DIR...")
     ],
     baseline: Annotated[
-        Path | None, typer.Option(help="Compare with this baseline: exit code 1 where something is worse.", metavar="FILE")
+        Path | None, typer.Option(help="Compare with this baseline: exit code 3 where something is worse.", metavar="FILE")
     ] = None,
     write: Annotated[
         Path | None, typer.Option("--write-baseline", help="Write the figures for later comparisons.", metavar="FILE")
