@@ -29,6 +29,7 @@ import numpy as np
 
 from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius
 from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.core.setting_bounds import between, check_bounds, positive
 
 _UNKNOWN_M2 = 1e4  # 1-sigma of 100 m; chosen: far beyond any displacement that ranges allow
 _LOG_ZERO = -700.0  # log of a probability of zero; exp of less underflows at -745
@@ -38,28 +39,36 @@ _MAX_EXTRAPOLATION = 3.0  # chosen: a fault's effect is at most trebled since th
 
 @dataclass(frozen=True, slots=True)
 class FaultFilterSettings:
-    """The stochastic model of faults, fault-free errors and ranges.
+    """The stochastic model of faults, fault-free errors and ranges."""
 
-    `correlation_time_s`: of a fault-free position error. `onset_rate_per_s`, `end_rate_per_s`: at which a peer's fault begins and
-    ends. `onset_sigma_m`, `onset_rate_sigma_mps`: 1-sigma of a beginning fault's size and rate along the line of sight;
-    `rate_density_m2ps3`: power spectral density of the change of its rate. `displacement_density_m2ps`: that of the displacement.
-    After `reset_after_steps` steps in a row in which a filter explains less than half of the peers' residuals its displacement is
-    unknown again. From `huber_sigma` on an innovation has bounded influence, from `gate_sigma` on none. `noise_time_s`: averaging
-    time of the measurement-noise inflation. `max_step_s`: a peer without ranges for longer leaves the filters.
-    """
+    correlation_time_s: float = positive(30.0)
+    """Of a fault-free position error, s. Source: errors of GNSS positions are correlated for half a minute to minutes."""
+    onset_rate_per_s: float = positive(1.0 / 600.0, most=1.0)
+    """Rate at which a peer's fault begins, 1/s. Chosen: one in ten minutes, far oftener than in truth: it is looked for."""
+    end_rate_per_s: float = positive(1.0 / 3600.0, most=1.0)
+    """Rate at which a fault ends, 1/s. Chosen: it lasts for an hour; what ended is found by its ranges."""
+    onset_sigma_m: float = positive(1.0)
+    """1-sigma of a beginning fault's size along the line of sight, m. Chosen: a ramp begins small; a step is found at once."""
+    onset_rate_sigma_mps: float = positive(1.5)
+    """1-sigma of a beginning fault's rate along the line of sight, m/s. Chosen: spoofers draw off at 0.2 to 5 m/s."""
+    rate_density_m2ps3: float = positive(0.1)
+    """Power spectral density of the change of that rate, m²/s³. Chosen: it changes by 1 m/s within ten seconds."""
+    displacement_density_m2ps: float = positive(4.0)
+    """That of the vehicle's displacement by a fault, m²/s. Chosen: 2 m in a second, as fast as ranges carry an estimate off."""
+    reset_after_steps: int = between(3, 1)
+    """After so many steps in a row in which a filter explains less than half of the peers' residuals its displacement is unknown
+    again. Chosen: one or two are outliers."""
+    huber_sigma: float = positive(1.5)
+    """From so many sigmas on an innovation has bounded influence. Source: Huber's usual constant, 1.345 to 1.5."""
+    gate_sigma: float = positive(3.0)
+    """From so many sigmas on it has none. Chosen: one in 370 Gaussian ones."""
+    noise_time_s: float = positive(15.0)
+    """Averaging time of the inflation of the measurement noise, s. Chosen: half of `correlation_time_s`."""
+    max_step_s: float = positive(3.0)
+    """A peer without ranges for longer leaves the filters, s. Chosen: three windows of residuals."""
 
-    correlation_time_s: float = 30.0
-    onset_rate_per_s: float = 1.0 / 600.0
-    end_rate_per_s: float = 1.0 / 3600.0
-    onset_sigma_m: float = 1.0
-    onset_rate_sigma_mps: float = 1.5
-    rate_density_m2ps3: float = 0.1
-    displacement_density_m2ps: float = 4.0
-    reset_after_steps: int = 3
-    huber_sigma: float = 1.5
-    gate_sigma: float = 3.0
-    noise_time_s: float = 15.0
-    max_step_s: float = 3.0
+    def __post_init__(self) -> None:
+        check_bounds(self)
 
 
 @dataclass(frozen=True, slots=True)

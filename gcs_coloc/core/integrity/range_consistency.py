@@ -26,6 +26,7 @@ from gcs_coloc.core.integrity.range_residuals import RangeResidualBuffer, RangeR
 from gcs_coloc.core.integrity.solution_separation import noise_excess_m2
 from gcs_coloc.core.measurements import FloatArray, RangeMeasurement
 from gcs_coloc.core.schedule import SAME_S
+from gcs_coloc.core.setting_bounds import between, check_bounds, positive
 
 _HOLD_WINDOWS = 10.0  # without any test for so many windows a detection ends
 _SMALLER_WINDOWS = 10
@@ -41,28 +42,39 @@ _PAIRS_FAIL_FOR_S = 60.0
 
 @dataclass(frozen=True, slots=True)
 class ConsistencySettings:
-    """When tests run, and what their results lead to.
+    """When tests run, and what their results lead to."""
 
-    Tests run every `period_s`: of the present, and of the change since each of `intervals_s` ago, in which a fault-free position
-    error is a Gauss-Markov process of `correlation_time_s`. A vehicle is identified after `identify_after` independent samples in
-    a row that isolate it; vehicles among which the fault is not isolated are detected after `detect_after`. One that is off, and
-    has changed, by no more than a sound receiver may that states too little, is detected alone. Solution separation
-    decays over `decay_time_s`; while a fault is identified or detected, and for `alert_s` more, over `alert_decay_time_s`. A
-    detection by the fault monitor lasts for `detection_hold_s`.
-    """
-
-    period_s: float = 0.2
+    period_s: float = positive(0.2, most=10.0)
+    """Tests run so often, s. Chosen: as often as ranges and positions come."""
     intervals_s: tuple[float, ...] = (2.0, 5.0, 12.0)
-    correlation_time_s: float = 30.0
-    identify_after: int = 2
-    detect_after: int = 2
-    decay_time_s: float = 2.0
-    alert_s: float = 30.0
-    alert_decay_time_s: float = 10.0
-    detection_hold_s: float = 20.0
+    """Tested are the present, and the change since so long ago, s. Chosen: a ramp of 5 m/s shows within the first, one of 1 m/s
+    within the last."""
+    correlation_time_s: float = positive(30.0)
+    """A fault-free position error is a Gauss-Markov process of this time, s. Source: errors of GNSS positions are correlated for
+    half a minute to minutes."""
+    identify_after: int = between(2, 1)
+    """Independent samples in a row that isolate a vehicle before it is identified. Chosen: an outlier that lasts as long as a
+    window is in one of them only."""
+    detect_after: int = between(2, 1)
+    """The same before vehicles among which the fault is not isolated are detected."""
+    decay_time_s: float = positive(2.0)
+    """Solution separation decays over so long, s. Chosen: as an estimate forgets what displaced it."""
+    alert_s: float = between(30.0, 0.0)
+    """While a fault is identified or detected, and for so much longer (s), it decays over `alert_decay_time_s`. Chosen: the
+    correlation time of a fault-free position error."""
+    alert_decay_time_s: float = positive(10.0)
+    """Chosen: what remains of a fault in the estimate is gone after two or three times as long."""
+    detection_hold_s: float = between(20.0, 0.0)
+    """A detection by the fault monitor lasts for so long, s. Chosen: it does not come and go while a fault grows slowly."""
     residuals: RangeResidualSettings = field(default_factory=RangeResidualSettings)
+    """Of the residuals of ranges."""
     levels: SignificanceLevels = field(default_factory=SignificanceLevels)
+    """Of the tests of single epochs."""
     fault_monitor: FaultMonitorSettings = field(default_factory=FaultMonitorSettings)
+    """Of the fault monitor."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
 
 
 @dataclass(frozen=True, slots=True)

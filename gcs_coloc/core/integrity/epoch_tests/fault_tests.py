@@ -27,6 +27,7 @@ import numpy as np
 from gcs_coloc.core.integrity.epoch_tests.adjustment import Adjustment, FaultEffect, adjust
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, Past
 from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.core.setting_bounds import check_bounds, positive
 
 WELL_PLACED_SIGMA_M = 10.0
 """Chosen: beyond it motion places a vehicle, and no error of a range acts in full."""
@@ -56,21 +57,24 @@ class FaultTestResult:
 
 @dataclass(frozen=True, slots=True)
 class SignificanceLevels:
-    """Significance levels of the tests.
+    """Significance levels of the tests."""
 
-    `alarm`: probability of a false alarm in one test. `clear`: probability that a fault-free fleet is not called clear.
-    `separation_from`, `separation_full`: a fault as significant as this begins to count in the solution separation, and counts in
-    full. `rest`: probability that the rest is not called consistent when the right fault is left out.
-    `margin`: a fault whose gain is smaller than the largest by more than this is ruled out (twice the log likelihood ratio; 10 is
-    a likelihood ratio of 150).
-    """
+    alarm: float = positive(1e-6, most=0.5)
+    """Probability of a false alarm in one test. Chosen: four tests five times a second make at most one in 14 hours."""
+    clear: float = positive(1e-2, most=0.5)
+    """Probability that a fault-free fleet is not called clear. Chosen: a detection ends within seconds of the fault."""
+    separation_from: float = positive(5e-3, most=0.5)
+    """A fault as significant as this begins to count in the solution separation. Chosen: rarer than 1 in 200 by chance."""
+    separation_full: float = positive(5e-4, most=0.5)
+    """As significant as this it counts in full. Chosen: rarer than 1 in 2000 by chance, long before it is detected."""
+    rest: float = positive(1e-3, most=0.5)
+    """Probability that the rest is not called consistent when the right fault is left out. Chosen: it is tried again."""
+    margin: float = positive(10.0)
+    """A fault whose gain is smaller than the largest by more than this is ruled out: twice a log likelihood ratio. Chosen: a
+    likelihood ratio of 150."""
 
-    alarm: float = 1e-6
-    clear: float = 1e-2
-    separation_from: float = 5e-3
-    separation_full: float = 5e-4
-    rest: float = 1e-3
-    margin: float = 10.0
+    def __post_init__(self) -> None:
+        check_bounds(self)
 
 
 def run_tests(now: Epoch, levels: SignificanceLevels, pasts: Sequence[Past]) -> list[FaultTestResult | None]:
