@@ -30,9 +30,9 @@ demo-docker:
 demo-docker-down:
 	sh tools/demo-docker down
 
-# Three processes on two cores: many tests wait for a wire. By file: a file's tests share what they have set up, as the containers.
-# In order of names: tests on a wire and in the browser, whose files take minutes, come first, so that no core idles at the end.
-TEST_JOBS ?= 3
+# Four processes on two cores: many tests wait for a wire. By file: a file's tests share what they have set up, as the containers.
+# In the order of tests/conftest.py: files that wait among those that compute.
+TEST_JOBS ?= 4
 test: .venv/.ready-dev
 	sh tools/install-test-tools
 	$(BIN)/python -m pytest -n $(TEST_JOBS) --dist loadfile --no-loadscope-reorder

@@ -17,6 +17,7 @@ pytestmark = pytest.mark.integration
 
 FAILED = 23
 COLUMNS, LINES = 80, 24
+LAST_LINE = re.compile(r"and \d+ more vehicles, all healthy")
 
 
 @pytest.fixture
@@ -36,10 +37,16 @@ def terminal(tmp_path: Path, free_port: int) -> Iterator[Callable[[], list[str]]
 def test_the_most_serious_stands_first_with_its_reason_and_no_line_is_cut(terminal, free_port):
     failed: set[int] = set()
     with swarm(free_port, failed):
-        wait_until(lambda: any(re.search(r"and \d+ more vehicles, all healthy", line) for line in terminal()))
+        wait_until(lambda: LAST_LINE.match(terminal()[-1]))
         failed.add(FAILED)
-        wait_until(lambda: any(re.match(rf"{FAILED} +failed", line) for line in terminal()))
-        lines = terminal()
+        lines: list[str] = []
+
+        def shows_the_failure() -> bool:
+            # A whole picture: while a line of the log moves the table up its end is not drawn yet.
+            lines[:] = terminal()
+            return LAST_LINE.match(lines[-1]) is not None and any(re.match(rf"{FAILED} +failed", line) for line in lines)
+
+        wait_until(shows_the_failure)
     assert len(lines) <= LINES
     rows = [line for line in lines if re.match(r"\d+ +(failed|healthy)", line)]
     assert [int(row.split()[0]) for row in rows] == [FAILED, *(n for n in range(1, COUNT + 1) if n != FAILED)][: len(rows)]
