@@ -51,7 +51,7 @@ class InhibitReason(WordedReason):
         "protection level {value:.0f} m is beyond the alert limit of {limit:g} m",
     )
     NO_PROTECTION_LEVEL = "no_protection_level", "its position has no protection level"
-    UNTESTED = "untested", "its ranges cannot test the position of {detail}, and [aiding] require_fault_tests is set"
+    UNTESTED = "untested", "its ranges cannot test the position of {detail}, and require_fault_tests is set"
     PREDICTION_ALONE = "prediction_alone", "no range has been in use for {limit:g} s: prediction alone"
     UNDETERMINED = "undetermined", "its ranges, to one peer or along one line, have not fixed its place for {limit:g} s"
     RANGES_INCONSISTENT = "ranges_misfit", "half of its ranges are {value:.1f} sigma or more off where it is held to be"

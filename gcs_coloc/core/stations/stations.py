@@ -163,7 +163,7 @@ class Stations:
         if beacon.position is None and not self.is_placed(message.peer):
             text = (
                 f"its RANGING_BEACON of beacon {beacon.beacon_id} has no position: add a [[station]] with this id, "
-                'or set ranging_beacon_ids = "vehicles" in [measurements] where these are system ids of vehicles'
+                'or set ranging_beacon_ids = "vehicles" where these are system ids of vehicles'
             )
             return self._refuse_unplaced(message, CoreRefusal.BEACON_WITHOUT_POSITION, text)
         if beacon.position is None:
