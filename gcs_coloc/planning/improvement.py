@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 
+from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius
 from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.planning.assessment import Assessment, Outlook, outlook
 from gcs_coloc.planning.fleet_plan import FleetPlan, PlannedStation, PlannedVehicle
@@ -188,10 +189,9 @@ def _badness(plan: FleetPlan, sysid: int, path: FlightPath) -> float:
         weight = np.where(is_there & (length <= a.max_range_m), 1.0 / (a.range_sigma_m**2 + sigma_m**2), 0.0)
         ue, un = d[:, 0] / length, d[:, 1] / length
         ee, en, nn = ee + weight * ue * ue, en + weight * ue * un, nn + weight * un * un
-    trace, determinant = ee + nn, ee * nn - en * en
+    mean, radius = eigenvalue_mean_and_radius(ee, en, nn, np.hypot)
     # The smaller eigenvalue of the information, that of the worst direction.
-    least = 0.5 * trace - np.sqrt(np.maximum(0.25 * trace * trace - determinant, 0.0))
-    return float(np.minimum(1.0 / np.sqrt(np.maximum(least, 1e-9)), a.alert_limit_m).mean())
+    return float(np.minimum(1.0 / np.sqrt(np.maximum(mean - radius, 1e-9)), a.alert_limit_m).mean())
 
 
 def _positions(path: FlightPath, times: FloatArray) -> FloatArray:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius, error_ellipse
 from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, Vector3
 from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
@@ -90,8 +91,9 @@ class PeerGeometry:
             ee += e * e
             en += e * n
             nn += n * n
-        course = 0.5 * math.atan2(2.0 * en, ee - nn)
-        return (math.cos(course), math.sin(course)), 0.5 * (ee + nn) + math.hypot(0.5 * (ee - nn), en)
+        mean, radius = eigenvalue_mean_and_radius(ee, en, nn, math.hypot)
+        course = error_ellipse(ee, en, nn).angle_rad
+        return (math.cos(course), math.sin(course)), mean + radius
 
     def range_separation(self, normal: FloatArray, offset_m: float, range_variances_m2: FloatArray) -> float:
         """Return the squared normalised difference of the ranges between both sides of a plane, at a distance from it.
