@@ -35,6 +35,8 @@ _TIMES = 120
 _PREDICTED = 3
 """Candidates of each kind that are predicted. Chosen: geometry misjudges neighbours; nine predictions cost as nine vehicles."""
 _ENOUGH = 0.999  # chosen: nothing is left to gain
+_SPARE_FROM = 2.0 / 3.0
+"""Share of the alert limit up to which a level is good. Chosen: levels of flights scatter by a fifth about it."""
 _MOST_VEHICLES = 20
 """Chosen: of a larger plan only the worst vehicle and those nearest to its worst stretch are moved."""
 
@@ -98,12 +100,12 @@ def no_improvement(assessed: Assessment) -> str:
 
 
 def _is_enough(assessed: Assessment) -> bool:
-    """Whether the worst vehicle has a fix all along, with half of the alert limit to spare.
+    """Whether the worst vehicle has a fix all along, with a third of the alert limit to spare.
 
     It is enough as well where none flies at all.
     """
     worst, limit_m = assessed.worst, assessed.plan.assumptions.alert_limit_m
-    return worst.worst is None or (worst.predicted.share_with_fix >= _ENOUGH and worst.worst.hpl_m < 0.5 * limit_m)
+    return worst.worst is None or (worst.predicted.share_with_fix >= _ENOUGH and worst.worst.hpl_m < _SPARE_FROM * limit_m)
 
 
 def _merit(outlook: Outlook) -> float:

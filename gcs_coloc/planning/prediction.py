@@ -229,7 +229,8 @@ class _Recursion:
         separation = SolutionSeparation(Epoch(at_s, priors, tuple(residuals))) if residuals else None
         for sysid, where in located.items():
             if separation is not None and sysid in separation.vehicles:
-                self._levels[sysid] = fault_level(separation.of(sysid), where, at_s, a.protection)
+                hypotheses = separation.expected_of(sysid, where.covariance[:2, :2])
+                self._levels[sysid] = fault_level(hypotheses, where, at_s, a.protection)
 
     def _prior(self, node: int, located: Mapping[int, Estimate], here: Mapping[int, Vector3]) -> PositionPrior:
         if node in self._stations:

@@ -16,6 +16,7 @@ are the matrix inversion lemma (Woodbury).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from enum import Enum
 from itertools import combinations
 from typing import NamedTuple
@@ -29,6 +30,8 @@ from gcs_coloc.core.integrity.epoch_tests.fault_tests import WELL_PLACED_SIGMA_M
 from gcs_coloc.core.measurements import FloatArray
 
 _LEAST_INFORMATION_PER_M2 = 1e-6  # of a coordinate without prior: a 1-sigma of 1 km, so that every hypothesis has a solution
+_MEDIAN_SIGMAS = 0.674
+"""Median distance of a Gaussian in one direction, in sigmas: without a receiver a position is poor in one direction."""
 _MOST_CANDIDATES, _MOST_AT_ONCE = 8, 4  # chosen: bounds the subsets to 162, as in isolation
 
 
@@ -47,6 +50,12 @@ class Separation(NamedTuple):
     vehicles: tuple[int, ...]
     separation_m: float
     sigma_m: float
+
+
+_Hypotheses = tuple[FaultClass, list[tuple[int, ...]], FloatArray, FloatArray]
+"""Hypotheses of one class: who is at fault in each, the shifts (n, 2) of the solutions, m, their covariances (n, 2, 2), m^2.
+
+For several sets of residuals the shifts have a last axis of them."""
 
 
 class SolutionSeparation:
@@ -89,12 +98,40 @@ class SolutionSeparation:
 
     def of(self, vehicle: int) -> list[Separation]:
         """Return all hypotheses of one vehicle without prior, that of the motion first."""
+        found: list[Separation] = []
+        for fault, who, shifts, covariances in self._hypotheses(vehicle, self._x, self._arrays.residuals_m):
+            found += _separations(fault, who, np.hypot(shifts[:, 0], shifts[:, 1]), covariances)
+        return found
+
+    def expected_of(self, vehicle: int, estimate_m2: FloatArray) -> list[Separation]:
+        """Return the hypotheses with the separations that noise alone makes of them, in the median.
+
+        `estimate_m2` is the horizontal covariance (2, 2) of the vehicle's estimate, m^2. The difference to a solution that uses
+        a part of what it uses has the difference of their covariances (Blanch et al.). Where nothing is left to place the
+        vehicle its solution is the estimate: noise does not move it.
+        """
+        reported_m2 = np.where(self._arrays.has_prior, self._arrays.sqrt_information**-2.0, 0.0)
+        by_noise_m2 = np.diag(1.0 / self._weights) + (self._H * reported_m2) @ self._H.T
+        # One unit of each residual at a time: the shifts are linear in them.
+        found: list[Separation] = []
+        of_each = self._C @ (self._H.T * self._weights)
+        for fault, who, shifts, covariances in self._hypotheses(vehicle, of_each, np.eye(len(self._weights))):
+            moved_m2 = np.einsum("hkr,rs,hls->hkl", shifts, by_noise_m2, shifts, optimize=True)
+            variances_m2 = np.maximum(_larger_eigenvalues(moved_m2 - estimate_m2), 0.0)
+            found += _separations(fault, who, _MEDIAN_SIGMAS * np.sqrt(variances_m2), covariances)
+        return found
+
+    def _hypotheses(self, vehicle: int, x: FloatArray, residuals_m: FloatArray) -> Iterator[_Hypotheses]:
+        """Yield the hypotheses of a vehicle for the solution `x` of some residuals.
+
+        Both are of one set of residuals, or have a last axis of several.
+        """
         at = 3 * self._arrays.index[vehicle]
         own = slice(at, at + 2)
-        found = _separations(FaultClass.MOTION, [(vehicle,)], self._x[np.newaxis, own], self._C[np.newaxis, own, own])
+        yield FaultClass.MOTION, [(vehicle,)], x[np.newaxis, own], self._C[np.newaxis, own, own]
         for subsets in self._subsets:
-            found += self._receivers(own, subsets)
-        return found + self._ranges(own, vehicle)
+            yield self._receivers(own, subsets, x)
+        yield from self._ranges(own, vehicle, x, residuals_m)
 
     def _receiver_subsets(self) -> list[NDArray[np.intp]]:
         """Return the subsets of reporting vehicles by their size, each as the places of its vehicles."""
@@ -106,7 +143,7 @@ class SolutionSeparation:
         largest = min(max(len(reporting) // 2, 1), _MOST_AT_ONCE) if reporting else 0
         return [np.array(list(combinations(reporting, size)), dtype=np.intp) for size in range(1, largest + 1)]
 
-    def _receivers(self, own: slice, subsets: NDArray[np.intp]) -> list[Separation]:
+    def _receivers(self, own: slice, subsets: NDArray[np.intp], x: FloatArray) -> _Hypotheses:
         """Return the hypotheses that the reported positions of a subset are wrong: they keep the least information."""
         states = (3 * subsets[:, :, np.newaxis] + np.arange(2)).reshape(len(subsets), -1)
         removed = 1.0 / (self._prior[states] - _LEAST_INFORMATION_PER_M2)
@@ -115,13 +152,13 @@ class SolutionSeparation:
         pulls = self._C[own][:, states].transpose(1, 2, 0)
         gains = np.linalg.solve(inner, pulls)
         # The prior mean of a displacement is zero: what is removed pulled the state itself back.
-        shifts = self._x[own] + np.einsum("hsk,hs->hk", gains, self._x[states])
+        shifts = x[own] + np.einsum("hsk,hs...->hk...", gains, x[states])
         covariances = self._C[own, own] + pulls.transpose(0, 2, 1) @ gains
         who = [tuple(self._arrays.vehicles[at] for at in subset) for subset in subsets.tolist()]
-        return _separations(FaultClass.RECEIVERS, who, shifts, covariances)
+        return FaultClass.RECEIVERS, who, shifts, covariances
 
-    def _ranges(self, own: slice, vehicle: int) -> list[Separation]:
-        """Return the hypotheses that ranges of this vehicle's pairs or device are off; others tell of its peers alone."""
+    def _ranges(self, own: slice, vehicle: int, x: FloatArray, residuals_m: FloatArray) -> Iterator[_Hypotheses]:
+        """Yield the hypotheses that ranges of this vehicle's pairs or device are off; others tell of its peers alone."""
         arrays = self._arrays
         columns: list[list[float]] = []
         who: list[tuple[int, ...]] = []
@@ -135,15 +172,15 @@ class SolutionSeparation:
                 columns += [rows, list(arrays.ranges_m * rows / arrays.ranges_m.mean())]
                 who += [(vehicle,)] * 2
         if not columns:
-            return []
+            return
         c = np.array(columns)
         weighted = c * self._weights
         v = weighted @ self._H @ self._C
         a = np.maximum(np.einsum("hr,hr->h", weighted, c) - np.einsum("hr,rs,hs->h", weighted, self._H, v), 1e-12)
-        size = (weighted @ (arrays.residuals_m - self._H @ self._x)) / a
-        shifts = self._x[own] - v[:, own] * size[:, np.newaxis]
+        size = ((weighted @ (residuals_m - self._H @ x)).T / a).T
+        shifts = x[own] - np.einsum("hk,h...->hk...", v[:, own], size)
         covariances = self._C[own, own] + v[:, own, np.newaxis] * v[:, np.newaxis, own] / a[:, np.newaxis, np.newaxis]
-        return _separations(FaultClass.RANGES, who, shifts, covariances)
+        yield FaultClass.RANGES, who, shifts, covariances
 
 
 def noise_excess_m2(stated: Epoch, found: Epoch) -> dict[int, FloatArray]:
@@ -172,8 +209,14 @@ def range_excess_m2(stated: Epoch, found: Epoch) -> dict[tuple[int, int], float]
     return dict(zip(arrays.pairs, excess_m2.tolist(), strict=True))
 
 
-def _separations(fault: FaultClass, who: list[tuple[int, ...]], shifts: FloatArray, covariances: FloatArray) -> list[Separation]:
+def _separations(
+    fault: FaultClass, who: list[tuple[int, ...]], distances_m: FloatArray, covariances: FloatArray
+) -> list[Separation]:
+    sigmas = np.sqrt(np.maximum(_larger_eigenvalues(covariances), 0.0)).tolist()
+    return [Separation(fault, *each) for each in zip(who, distances_m.tolist(), sigmas, strict=True)]
+
+
+def _larger_eigenvalues(covariances: FloatArray) -> FloatArray:
+    """Return the larger eigenvalue of each of some symmetric matrices (n, 2, 2)."""
     mean, radius = eigenvalue_mean_and_radius(covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1], np.hypot)
-    sigmas = np.sqrt(np.maximum(mean + radius, 0.0)).tolist()
-    distances = np.hypot(shifts[:, 0], shifts[:, 1]).tolist()
-    return [Separation(fault, *each) for each in zip(who, distances, sigmas, strict=True)]
+    return np.asarray(mean + radius)

@@ -93,7 +93,7 @@ def test_how_well_a_station_is_known_is_stated_counts_and_is_named(three, tmp_pa
 
 
 def test_enough_of_a_fix_is_exit_code_0_and_pairs_are_told(three):
-    ran = run(*three[:3], "--no-improve", "--pairs", "--require", "0.5")
+    ran = run(*three[:3], "--no-improve", "--pairs", "--require", "0.3")
     assert ran.exit_code == 0, ran.output
     assert "1 and 2" in ran.stdout
     assert "cannot tell" in ran.stdout
