@@ -51,6 +51,8 @@ class Pilot:
     texts: list[tuple[float, str]] = field(default_factory=list)
     modes: list[tuple[float, int]] = field(default_factory=list)
     latest: dict[str, Any] = field(default_factory=dict)
+    told: dict[str, float] = field(default_factory=dict)
+    """The parameters that it told last, by name. ArduPilot answers one component of a vector with all three."""
 
     def __post_init__(self) -> None:
         """Open the socket."""
@@ -94,6 +96,8 @@ class Pilot:
     def _keep(self, message: Any, now_s: float) -> None:
         kind = message.get_type()
         self.latest[kind] = message
+        if kind == "PARAM_VALUE":
+            self.told[message.param_id] = float(message.param_value)
         if kind == "SIM_STATE":
             self.truth.append(Place3D(now_s, message.lat_int * 1e-7, message.lon_int * 1e-7, message.alt))
         elif kind == "HIL_STATE_QUATERNION":
@@ -154,24 +158,19 @@ class Pilot:
 
     def set_parameter(self, name: str, value: float, kind: int = mavlink.MAV_PARAM_TYPE_REAL32, wait: bool = True) -> bool:
         """Set a parameter; True where the vehicle confirms it (or where it is not waited for)."""
-
-        def confirmed() -> bool:
-            answer = self.latest.get("PARAM_VALUE")
-            return answer is not None and answer.param_id == name
-
         for _ in range(4):
-            self.latest.pop("PARAM_VALUE", None)
+            self.told.pop(name, None)
             self.send(mavlink.MAVLink_param_set_message(self.sysid, 1, name.encode(), value, kind))
-            if not wait or self._wait(confirmed):
+            if not wait or self._wait(lambda: name in self.told):
                 return True
         return False
 
     def parameter(self, name: str) -> float | None:
         """Read a parameter."""
-        self.latest.pop("PARAM_VALUE", None)
+        self.told.pop(name, None)
         self.send(mavlink.MAVLink_param_request_read_message(self.sysid, 1, name.encode(), -1))
-        found = self._wait(lambda: getattr(self.latest.get("PARAM_VALUE"), "param_id", None) == name)
-        return float(self.latest["PARAM_VALUE"].param_value) if found else None
+        self._wait(lambda: name in self.told)
+        return self.told.get(name)
 
     def upload(self, items: Sequence[tuple[int, int, Sequence[float], float, float, float]]) -> None:
         """Upload a mission: (command, frame, params 1 to 4, latitude deg, longitude deg, altitude m). Raises TimeoutError."""
