@@ -209,7 +209,8 @@ def planning(
     windows = sum(len(check.windows) for check in checks)
     close = sum(window.is_close for window in told)
     print(f"{flights} flights of each plan, seeds from {first_seed}")
-    print(f"of {windows} windows {len(told)} are told, {close} of them within 20 %")
+    levels = sum(window.is_level_close for window in told)
+    print(f"of {windows} windows {len(told)} are told, {close} of them within 20 %; protection level: {levels}")
 
 
 @app.command("readiness")

@@ -58,6 +58,11 @@ class Window:
         return abs(self.ratio - 1.0) <= _CLOSE
 
     @property
+    def is_level_close(self) -> bool:
+        """Whether the stated protection level is within 20 % of the predicted one."""
+        return abs(self.hpl_ratio - 1.0) <= _CLOSE
+
+    @property
     def may_be_close(self) -> bool:
         """Whether the flights leave it open that it is within 20 %: the interval meets that band."""
         low, high = self.interval
@@ -189,7 +194,7 @@ def _interval(ratios: FloatArray) -> tuple[float, float]:
 def check_table(checks: Sequence[PlanCheck]) -> Table:
     """Return a row for each plan: how many windows are close, median of reached over predicted, errors within their bound."""
     table = Table()
-    headings = ("plan", "kind", "predicted 95 % m", "reached / predicted", "told and within 20 %")
+    headings = ("plan", "predicted 95 % m", "reached / predicted", "told and within 20 %")
     levels = (
         "shown within",
         "shown outside",
@@ -200,7 +205,7 @@ def check_table(checks: Sequence[PlanCheck]) -> Table:
         "beyond predicted HPL",
     )
     for heading in (*headings, *levels, "fix predicted", "fix reached"):
-        table.add_column(heading, justify="left" if heading in ("plan", "kind") else "right")
+        table.add_column(heading, justify="left" if heading == "plan" else "right")
     for check in checks:
         bounds_m = [window.predicted_m for window in check.windows]
         span = f"{min(bounds_m):.1f} to {max(bounds_m):.1f}" if bounds_m else "-"
@@ -208,9 +213,8 @@ def check_table(checks: Sequence[PlanCheck]) -> Table:
         shown = str(sum(window.is_shown_close for window in check.told))
         outside = str(sum(not window.may_be_close for window in check.told))
         shares = (f"{check.median_ratio:.2f}", counted, shown, outside, f"{check.covered:.1%}", f"{check.not_told:.0%}")
-        hpl = [window.hpl_ratio for window in check.told if np.isfinite(window.hpl_ratio)]
-        close = f"{sum(abs(ratio - 1.0) <= _CLOSE for ratio in hpl)} of {len(hpl)}"
-        ratio = f"{np.median(hpl):.2f}" if hpl else "-"
+        close = f"{sum(window.is_level_close for window in check.told)} of {len(check.told)}"
+        ratio = f"{np.nanmedian([window.hpl_ratio for window in check.told]):.2f}" if check.told else "-"
         fixes = f"{check.fix_predicted:.1%}", f"{check.fix_reached:.1%}"
-        table.add_row(check.name, check.text, span, *shares, ratio, close, str(check.beyond_hpl), *fixes)
+        table.add_row(check.name, span, *shares, ratio, close, str(check.beyond_hpl), *fixes)
     return table
