@@ -36,10 +36,15 @@ def eigenvalue_mean_and_radius(a: _Real, b: _Real, d: _Real, norm: Callable[[_Re
     return 0.5 * (a + d), norm(0.5 * (a - d), b)
 
 
+def major_axis_rad(a: float, b: float, d: float) -> float:
+    """Angle of the eigenvector of the larger eigenvalue of [[a, b], [b, d]], from the first axis to the second."""
+    return 0.5 * atan2(2.0 * b, a - d)
+
+
 def error_ellipse(ee: float, en: float, nn: float) -> ErrorEllipse:
     """The error ellipse of a horizontal covariance, given by its elements in m^2."""
     mean, radius = eigenvalue_mean_and_radius(ee, en, nn, _norm)
-    return ErrorEllipse(sqrt(max(mean + radius, 0.0)), sqrt(max(mean - radius, 0.0)), 0.5 * atan2(2.0 * en, ee - nn))
+    return ErrorEllipse(sqrt(max(mean + radius, 0.0)), sqrt(max(mean - radius, 0.0)), major_axis_rad(ee, en, nn))
 
 
 def horizontal_sigma_m(covariance: FloatArray) -> float:

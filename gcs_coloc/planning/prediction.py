@@ -56,7 +56,7 @@ _WELL_KNOWN_M = 0.5
 _LEAST_KNOWN_NODES = 2  # chosen: beside one station the peers' errors decide
 _LEVEL_EVERY_S = 10.0
 """Chosen: geometry changes little in 10 s; the hypotheses cost as much as a step."""
-_WITH_GPS_S = 5.0
+WITH_GPS_S = 5.0
 """The GPS fails so long after the vehicle's start: its filter begins from its own reports."""
 _CHOSEN_EVERY = 5
 """Steps from one choice of peers to the next. Chosen: geometry changes little in 10 s."""
@@ -149,7 +149,7 @@ class _Recursion:
             self._feed(PositionMeasurement(station.node, self._begin_s, self._begin_s, place, sigma_m, sigma_m, static=True))
 
     def _update_denied(self, at_s: float, here: Mapping[int, Vector3]) -> None:
-        lost = frozenset(v for v in self._denied if v in here and at_s >= self._plan.paths[v].begin_s + _WITH_GPS_S)
+        lost = frozenset(v for v in self._denied if v in here and at_s >= self._plan.paths[v].begin_s + WITH_GPS_S)
         if lost == self._lost:
             return
         self._lost = lost

@@ -31,7 +31,7 @@ from gcs_coloc.core.measurements import FloatArray
 
 _LEAST_INFORMATION_PER_M2 = 1e-6  # of a coordinate without prior: a 1-sigma of 1 km, so that every hypothesis has a solution
 _MEDIAN_SIGMAS = 0.674
-"""Median distance of a Gaussian in one direction, in sigmas: without a receiver a position is poor in one direction."""
+"""Median distance in one direction, in sigmas: without a receiver a position is poor in one direction. Source: the Gaussian."""
 _MOST_CANDIDATES, _MOST_AT_ONCE = 8, 4  # chosen: bounds the subsets to 162, as in isolation
 
 
@@ -112,8 +112,8 @@ class SolutionSeparation:
         """
         reported_m2 = np.where(self._arrays.has_prior, self._arrays.sqrt_information**-2.0, 0.0)
         by_noise_m2 = np.diag(1.0 / self._weights) + (self._H * reported_m2) @ self._H.T
-        # One unit of each residual at a time: the shifts are linear in them.
         found: list[Separation] = []
+        # One unit of each residual at a time: the shifts are linear in them.
         of_each = self._C @ (self._H.T * self._weights)
         for fault, who, shifts, covariances in self._hypotheses(vehicle, of_each, np.eye(len(self._weights))):
             moved_m2 = np.einsum("hkr,rs,hls->hkl", shifts, by_noise_m2, shifts, optimize=True)

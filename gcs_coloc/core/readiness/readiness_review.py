@@ -25,9 +25,9 @@ from gcs_coloc.core.telemetry.reported_state import ReportedState
 
 EVERY_S = 10.0
 """Each vehicle is predicted so often. Chosen: geometry changes little in 10 s."""
-_SPACING_S = 0.75
-"""Least time between two predictions, of any vehicles. Chosen: each of 30 has its turn three times a minute, and
-with 15 ms each they take 2 % of a core."""
+_SPACING_S = 0.8
+"""Least time between two predictions, of any vehicles. Chosen: four reviews, so that each of 30 has its turn within
+24 s; with 15 ms each they take 2 % of a core."""
 _CONFIRMED_AFTER_S = 2.0
 """A change of state counts after so long. Chosen: two predictions that agree."""
 _RECOVERED_AFTER_S = 20.0

@@ -17,6 +17,7 @@ from gcs_coloc.core.measurements import FloatArray, VehicleClass
 from gcs_coloc.core.stations.stations import Station, StationPosition
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 from gcs_coloc.planning.fleet_plan import FleetPlan, PlannedStation
+from gcs_coloc.planning.prediction import WITH_GPS_S
 from gcs_coloc.study.integrity.flight_classes import FlightClass, Group
 from gcs_coloc.study.integrity.motion import GRAVITY_MPS2, STEP_S, Trajectory, gauss_markov
 from gcs_coloc.study.integrity.simulated_fleet import SimulatedFleet
@@ -25,8 +26,6 @@ from sitl_fakes.geodesy import WorldFrame
 
 _KEPT_EVERY_S = 2.0
 """Chosen: errors change little within it."""
-_WITH_GPS_S = 5.0
-"""The GPS fails so long after the start, as in the prediction."""
 _SWAY_RADPS = 0.2
 """An autopilot corrects what a gust displaces within some seconds. Chosen: critically damped, 5 s."""
 _LEAST_COLOURED_SHARE = 0.1
@@ -104,7 +103,7 @@ def _as_class(plan: FleetPlan) -> FlightClass:
         is_mutual=False,
         answers_timesync=a.delay_is_known,
         has_utc=a.delay_is_known,
-        lost_at_s=(_WITH_GPS_S, _WITH_GPS_S),
+        lost_at_s=(WITH_GPS_S, WITH_GPS_S),
     )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius, error_ellipse
+from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius, major_axis_rad
 from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, Vector3
 from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
@@ -92,7 +92,7 @@ class PeerGeometry:
             en += e * n
             nn += n * n
         mean, radius = eigenvalue_mean_and_radius(ee, en, nn, math.hypot)
-        course = error_ellipse(ee, en, nn).angle_rad
+        course = major_axis_rad(ee, en, nn)
         return (math.cos(course), math.sin(course)), mean + radius
 
     def range_separation(self, normal: FloatArray, offset_m: float, range_variances_m2: FloatArray) -> float:
