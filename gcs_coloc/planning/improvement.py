@@ -70,9 +70,10 @@ class Improvement:
     @property
     def text(self) -> str:
         """The change and its gain in words."""
-        old, new = self.before.predicted.share_with_fix, self.after.predicted.share_with_fix
-        levels = f"median protection level {self.before.median_hpl_m:.0f} m to {self.after.median_hpl_m:.0f} m"
-        return f"{self.change.text}: vehicle {self.sysid} has a fix for {new:.1%} of its flight instead of {old:.1%}, {levels}"
+        old, new = (f"{each.predicted.share_with_fix:.1%}" for each in (self.before, self.after))
+        fix = f"vehicle {self.sysid} has a fix for {new} of its flight" + (f" instead of {old}" if old != new else "")
+        levels = f"median protection level {self.after.median_hpl_m:.0f} m instead of {self.before.median_hpl_m:.0f} m"
+        return f"{self.change.text}: {fix}, {levels}"
 
 
 def find_improvement(

@@ -5,6 +5,7 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 from typer.testing import CliRunner
@@ -145,6 +146,9 @@ def test_the_change_that_helps_is_found_and_its_gain_is_predicted():
     assert found.sysid == assessed.worst.predicted.sysid
     assert found.after.predicted.share_with_fix > found.before.predicted.share_with_fix + 0.2
     assert f"{found.after.predicted.share_with_fix:.1%} of its flight instead of" in found.text
+    level = f"{found.after.median_hpl_m:.0f} m"
+    as_often = replace(found, before=found.after)
+    assert as_often.text.endswith(f" of its flight, median protection level {level} instead of {level}")
     good = FleetPlan(FRAME, tuple(flight(k, 500.0 * (k % 2), 300.0 * k) for k in range(1, 6)))
     assessed = assess(good, pairs=False, workers=Workers(), progress=lambda *_: None)
     assert find_improvement(assessed, Workers(), lambda *_: None) is None
