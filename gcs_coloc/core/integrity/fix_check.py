@@ -45,6 +45,7 @@ class FixCheck:
     """A finding, and the horizontal distance of the fix from where ranges put the vehicle (m), None where that is unknown.
 
     `known_m`: horizontal 1-sigma of the best reference that agrees with the fix, m; infinity where there is none.
+    `ranges_know_m`: that of the ranges of the present epoch, where they agree with it.
     `ranged`: there were ranges to test it against. `fits_now`: the ranges of the present epoch alone fit it.
     """
 
@@ -53,6 +54,7 @@ class FixCheck:
     known_m: float
     ranged: bool
     fits_now: bool
+    ranges_know_m: float = inf
 
 
 def check_fix(
@@ -94,7 +96,7 @@ def check_fix(
             )
         unresolved |= is_possible
     information = fits[0].position_information(fix.vehicle) if fitting else np.zeros((2, 2))
-    known_m = 1.0 / sqrt(max(_least_information_per_m2(information), MIN_INFORMATION_PER_M2))
+    ranges_know_m = known_m = 1.0 / sqrt(max(_least_information_per_m2(information), MIN_INFORMATION_PER_M2))
     if estimate is not None and difference_m is not None:
         distance = _squared_distance(difference_m, fix, estimate)
         ranges_decide = float(difference_m @ information @ difference_m) >= _DETECTABLE_NONCENTRALITY
@@ -112,7 +114,7 @@ def check_fix(
     if unresolved or (present is not None and present.is_consistent and not fitting):
         return FixCheck(FixConsistency.UNRESOLVED, offset_m, inf, ranged=bool(fits), fits_now=fitting)
     finding = FixConsistency.NOTHING if estimate is None and not fits else FixConsistency.AGREES
-    return FixCheck(finding, offset_m, known_m, ranged=bool(fits), fits_now=fitting)
+    return FixCheck(finding, offset_m, known_m, ranged=bool(fits), fits_now=fitting, ranges_know_m=ranges_know_m)
 
 
 def fits_alone(epoch: Epoch, vehicle: int, levels: SignificanceLevels) -> bool:

@@ -65,7 +65,8 @@ class _Reacquisition:
     the confirmed finding, `offset_m` the size of the contradiction, `was_ranged`: ranges were among what contradicted.
     `off_at_s`: the last epoch whose ranges did not fit it. Later epochs are not compared with those up to it: a receiver that has
     come to be right is not at fault. `disagreed_at_s`: the last time that something spoke
-    against it. `peers` are those whose ranges tested it last.
+    against it. `peers` are those whose ranges tested it last. `known_since_s`: since when the ranges of witnesses alone fit it
+    and know its place, in every direction, to a share of the contradiction.
     """
 
     began_s: float
@@ -73,6 +74,7 @@ class _Reacquisition:
     peers: tuple[int, ...] = ()
     off_at_s: float = float("-inf")
     disagreed_at_s: float = float("-inf")
+    known_since_s: float = inf
     finding: FixConsistency = FixConsistency.NOTHING
     wrong: bool = False
     was_ranged: bool = False
@@ -95,6 +97,10 @@ class _Reacquisition:
         if contradicts and check.offset_m is not None:
             # The window of the ranges ends later than the fault: then the distance is nearly none any more.
             self.offset_m = max(self.offset_m, check.offset_m) if self.wrong else check.offset_m
+        if check.ranges_know_m > _WELL_KNOWN_SHARE * self.offset_m:
+            self.known_since_s = inf
+        else:
+            self.known_since_s = min(self.known_since_s, now_s)
         if contradicts == self.wrong or inconclusive:
             self.changed_since_s = None
             return False
@@ -125,7 +131,9 @@ class _Reacquisition:
         return True
 
     def status(self, now_s: float) -> ReacquisitionStatus:
-        if now_s - self.disagreed_at_s < _AGREES_FOR_S or self.by_located.is_open(now_s):
+        # Ranges to located vehicles may test one direction: those of witnesses that test both decide.
+        is_held = self.by_located.is_open(now_s) and now_s - self.known_since_s < _AGREES_FOR_S
+        if now_s - self.disagreed_at_s < _AGREES_FOR_S or is_held:
             return ReacquisitionStatus.CONTRADICTED
         if self.finding is not FixConsistency.NOTHING:
             return ReacquisitionStatus.CONSISTENT

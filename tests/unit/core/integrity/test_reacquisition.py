@@ -263,9 +263,9 @@ JUMPS = Scenario(peers=5, mutual=False, jump_m=200.0)
 """Peer 1 steps by 200 m at 20 s and says no more; only the denied vehicle, lost at 5 s, ranges it."""
 
 
-def states_of_peers(right_from_s: float, until_s: float) -> list[tuple[float, int, str]]:
+def states_of_peers(right_from_s: float, until_s: float, scenario: Scenario = JUMPS) -> list[tuple[float, int, str]]:
     """Fly until a time with peer 1 off up to a time; the changes of the peers' states once all are healthy."""
-    flight, engine = Flight(JUMPS, 0, right_from_s), fresh_engine()
+    flight, engine = Flight(scenario, 0, right_from_s), fresh_engine()
     seen: list[tuple[float, int, str]] = []
     for step in range(round(until_s / STEP_S)):
         t = step * STEP_S
@@ -284,3 +284,19 @@ def test_a_peer_that_has_jumped_is_not_believed_again_while_the_denied_vehicles_
 def test_one_that_has_jumped_back_is_believed_again():
     """Ten seconds after its jump back, as without ranges, and the ranges have contradicted it for less."""
     assert states_of_peers(30.0, 50.0) == [(21.2, FAULTY, "suspect"), (44.8, FAULTY, "healthy")]
+
+
+@pytest.mark.parametrize("peers", [3, 5])
+def test_one_that_witnesses_range_in_every_direction_is_held_no_longer_than_any_receiver(peers):
+    """What a denied vehicle's range has contradicted for 40 s held it for 20 to 30 s, though ranges among all had tested it."""
+    jumps = replace(JUMPS, peers=peers, mutual=True, jump_m=60.0)
+    seen = states_of_peers(60.0, 75.0, jumps)
+    assert [(vehicle, after) for _, vehicle, after in seen] == [
+        (FAULTY, "suspect"),
+        (FAULTY, "failed"),
+        (FAULTY, "recovering"),
+        (FAULTY, "healthy"),
+    ]
+    right_again_s, believed_s = seen[2][0], seen[3][0]
+    assert right_again_s - 60.0 < 5.0
+    assert believed_s - 60.0 < 15.0
