@@ -7,6 +7,8 @@ from enum import Enum, StrEnum
 from typing import Generic, TypeVar
 
 DUPLICATE_ID_WORDING = "two autopilots use its system id; give each its own"
+DOCTOR_NAMES_SETTINGS = "gcs-coloc doctor names the settings"
+"""The remedy where an autopilot does not use what it is sent: its parameters are known there alone."""
 
 
 class WordedReason(Enum):

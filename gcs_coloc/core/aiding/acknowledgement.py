@@ -8,7 +8,7 @@ from math import hypot
 from gcs_coloc.core.geodesy import horizontal_distance_m
 from gcs_coloc.core.messages.inbound import GpsReceiver
 from gcs_coloc.core.messages.outbound import AidingMessage, GpsInput
-from gcs_coloc.core.reasons import StatedReason, WordedReason
+from gcs_coloc.core.reasons import DOCTOR_NAMES_SETTINGS, StatedReason, WordedReason
 from gcs_coloc.core.telemetry.reported_state import ReportedState
 
 _JUDGED_AFTER_S = 5.0  # chosen: an autopilot takes the first fixes within two, and reports at 1 Hz
@@ -29,12 +29,9 @@ class FixFault(WordedReason):
         "another_fix",
         "its {detail} is {value:.0f} m off what is sent: is it a receiver of its own, or does somebody else feed it?",
     )
-    EKF_UNAIDED = (
-        "ekf_unaided",
-        "its EKF2 reports no global position from GNSS or aid; was it rebooted after EKF2_AGP0_ID was set?",
-    )
-    EKF_WITHOUT_VISION = "ekf_without_vision", "its EKF2 reports no horizontal aid; is bit 0 of EKF2_EV_CTRL set?"
-    EKF_WITHOUT_RANGES = "ekf_without_ranges", "its EKF2 reports no horizontal aid; is EKF2_RNGBC_CTRL = 1?"
+    EKF_UNAIDED = "ekf_unaided", "its EKF2 reports no global position from GNSS or aid"
+    EKF_WITHOUT_VISION = "ekf_without_vision", "its EKF2 reports no horizontal aid, though a vision position is sent"
+    EKF_WITHOUT_RANGES = "ekf_without_ranges", "its EKF2 reports no horizontal aid, though ranges are sent"
     UNSENT_FIX = (
         "unsent_fix",
         "its {detail} has a fix that was not sent: is it a receiver of its own, or does somebody else feed it?",
@@ -73,7 +70,7 @@ class Acknowledgement(ABC):
             if self._alarmed:
                 return None
             self._alarmed = True
-            return "error", f"{self._what} is not taken: {fault}"
+            return "error", f"{self._what} is not taken: {fault}; {DOCTOR_NAMES_SETTINGS}"
         self._wrong_since_s, self.fault = None, None
         # A vehicle that reports no fix as we do has shown nothing yet.
         shown = self._is_shown(vehicle, now_s)
@@ -153,16 +150,15 @@ class FixAcknowledgement(Acknowledgement):
     def _fault_now(self, vehicle: ReportedState, now_s: float) -> str | None:
         del vehicle
         heard, name = self._heard, f"GPS{self._gps_id + 1}"
-        remedy = f"; are {name}_TYPE=14, gps_id={self._gps_id} and MAV_OPTIONS right?"
         if heard is None or now_s - heard.received_at_s > _SILENCE_S:
             message = "GPS_RAW_INT" if self._gps_id == 0 else "GPS2_RAW"
-            return StatedReason(FixFault.NOT_REPORTED, detail=message).text + remedy
+            return StatedReason(FixFault.NOT_REPORTED, detail=message).text
         if self._fix is None:
             since_s = self._no_fix_since_s
             lingered = since_s is not None and now_s - since_s > _LINGERS_S
             return StatedReason(FixFault.UNSENT_FIX, detail=name).text if lingered and heard.fix_type >= _HAS_FIX else None
         if heard.fix_type < _HAS_FIX:
-            return StatedReason(FixFault.NO_FIX, heard.fix_type, detail=name).text + remedy
+            return StatedReason(FixFault.NO_FIX, heard.fix_type, detail=name).text
         off_m = horizontal_distance_m(heard.lat_deg, heard.lon_deg, self._fix.lat_deg, self._fix.lon_deg)
         speed_mps = hypot(self._fix.vn_mps, self._fix.ve_mps)
         if off_m > _NEAR_M + _NEAR_S * speed_mps:

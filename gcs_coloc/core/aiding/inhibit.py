@@ -9,7 +9,7 @@ from gcs_coloc.core.aiding.receiver_switch import GPS_PRIMARY
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.messages.control import ForeignGpsInput
 from gcs_coloc.core.messages.outbound import Notice
-from gcs_coloc.core.reasons import DUPLICATE_ID_WORDING, StatedReason, WordedReason
+from gcs_coloc.core.reasons import DOCTOR_NAMES_SETTINGS, DUPLICATE_ID_WORDING, StatedReason, WordedReason
 from gcs_coloc.core.telemetry.reported_state import ReportedState
 
 
@@ -25,10 +25,7 @@ class InhibitReason(WordedReason):
         "unknown_autopilot",
         "its autopilot is neither ArduPilot nor PX4: set its aiding method where you have tried one",
     )
-    PX4_TAKES_NO_METHOD = (
-        "px4_takes_no_method",
-        "its EKF2 takes no position: set EKF2_AGP0_CTRL=1 and EKF2_AGP0_ID=1 and reboot it; before PX4 1.18 EKF2_EV_CTRL=1",
-    )
+    PX4_TAKES_NO_METHOD = "px4_takes_no_method", f"its EKF2 takes no position: {DOCTOR_NAMES_SETTINGS}"
     PX4_METHOD_UNKNOWN = "px4_method_unknown", "it has not told yet which positions its EKF2 takes"
     PX4_RESETS_BY_EXTERNAL_POSITION = (
         "px4_resets_by_external_position",

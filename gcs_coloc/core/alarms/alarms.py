@@ -15,6 +15,7 @@ from typing import Literal
 
 from gcs_coloc.core.messages.control import HOST_LATE_S
 from gcs_coloc.core.messages.outbound import Notice
+from gcs_coloc.core.reasons import DOCTOR_NAMES_SETTINGS
 from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
 from gcs_coloc.core.standby.standby_snapshot import StandbySnapshot
 from gcs_coloc.core.stations.node_id import node_name
@@ -154,7 +155,7 @@ def _gps_condition(v: VehicleSnapshot) -> Condition | None:
     what = v.aiding if v.fix_acknowledged is False else f"it could not be aided: {v.inhibit_reason}" if v.inhibit_reason else None
     if what is None:
         return _readiness_condition(v)
-    action = "Mend it before it is needed: gcs-coloc doctor names the settings."
+    action = f"Mend it before it is needed: {DOCTOR_NAMES_SETTINGS}."
     text = f"GPS healthy ({v.gps_reason}), but {what}"
     return Condition(AlarmKind.NOT_READY, "warning", text, action, "GPS healthy, but could not be aided")
 
@@ -186,7 +187,7 @@ def _action_without_gps(v: VehicleSnapshot) -> str:
     if v.aiding_override == "off":
         return "Its aiding is switched off: fly it by hand, or set its aiding to automatic."
     if v.fix_acknowledged is False:
-        return "Its autopilot does not use what it is sent: fly it by hand; gcs-coloc doctor names the settings."
+        return f"Its autopilot does not use what it is sent: fly it by hand; {DOCTOR_NAMES_SETTINGS}."
     if v.bound_95_m is None:
         return "Fly it by hand: it is located again with ranges to vehicles that are located."
     if not v.aiding_has_fix:

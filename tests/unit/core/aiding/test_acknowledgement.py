@@ -44,7 +44,7 @@ def test_a_stream_that_is_taken_is_known_to_be_and_raises_nothing():
     [
         (FIX, None, "no GPS2_RAW is heard"),
         (no_fix(4, 1), None, "no GPS2_RAW is heard"),
-        (FIX, (1, 0.0), "its GPS2 says fix type 1 while positions are sent; are GPS2_TYPE=14, gps_id=1"),
+        (FIX, (1, 0.0), "its GPS2 says fix type 1 while positions are sent; gcs-coloc doctor names the settings"),
         (FIX, (3, 47.01), "its GPS2 is 1112 m off what is sent"),
         (no_fix(4, 1), (3, 47.0), "its GPS2 has a fix that was not sent"),
     ],
