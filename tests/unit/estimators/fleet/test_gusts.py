@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 
@@ -48,6 +49,7 @@ def flown(gust_mps: float, learns: bool, seed: int) -> tuple[float, float, float
     return math.sqrt(np.mean(np.square(errors))), float(covered), float(np.mean(bounds))
 
 
+@cache
 def mean_of(gust_mps: float, learns: bool) -> np.ndarray:
     return np.mean([flown(gust_mps, learns, seed) for seed in (1, 2, 3)], axis=0)
 
