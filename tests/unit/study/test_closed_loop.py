@@ -11,11 +11,14 @@ from gcs_coloc.core.telemetry.measurement_settings import MeasurementSettings
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.study.closed_loop import Flight, fly
 from gcs_coloc.study.demo import draw, figures
+from sitl_fakes.faults import GpsLost
 from sitl_fakes.flight import VehicleTruth
 from sitl_fakes.geodesy import WorldFrame
 from sitl_fakes.scenario import Scenario, load_scenario
 
 LOST_S = 20.0
+EARLY_LOST_S, EARLY_END_S = 10.0, 30.0
+"""Of a flight of which it matters only how the vehicle is located for 20 s: it was ranged for 10 s before."""
 
 
 def uwb(**ranging: object) -> Scenario:
@@ -26,7 +29,7 @@ def uwb(**ranging: object) -> Scenario:
 def flown(
     scenario: Scenario,
     estimator: str = "fleet",
-    duration_s: float = 40.0,
+    duration_s: float = EARLY_END_S,
     aided: bool = True,
     seed: int = 7,
     settings: EngineSettings | None = None,
@@ -45,8 +48,12 @@ def surveyed(scenario: Scenario) -> EngineSettings:
     return EngineSettings(stations=tuple(Station(number, "", place) for number, place in places.items()))
 
 
+def lost_early(scenario: Scenario) -> Scenario:
+    return scenario.model_copy(update={"fault": [GpsLost(vehicle=4, at_s=EARLY_LOST_S)]})
+
+
 def errors_m(flight: Flight, sysid: int) -> np.ndarray:
-    samples = [s for s in flight.samples[sysid] if s.at_s >= LOST_S + 2.0]
+    samples = [s for s in flight.samples[sysid] if s.at_s >= EARLY_LOST_S + 2.0]
     assert all(s.error_enu_m is not None for s in samples)
     return np.array([np.hypot(*s.error_enu_m[:2]) for s in samples])
 
@@ -65,10 +72,10 @@ def errors_m(flight: Flight, sysid: int) -> np.ndarray:
     ],
 )
 def test_every_way_to_report_a_range_locates_the_vehicle(message, time_base):
-    flight = flown(uwb(message=message, time_base=time_base), settings=BEACONS_ARE_VEHICLES)
+    flight = flown(lost_early(uwb(message=message, time_base=time_base)), settings=BEACONS_ARE_VEHICLES)
     # Peers' GPS of 1.5 m with correlated errors, ranges of 0.5 m with 0.3 m bias: 3 sigma of a position as good as GPS.
     assert np.sqrt(np.mean(errors_m(flight, 4) ** 2)) < 4.5
-    sources = [s.truth.source for s in flight.samples[4] if s.at_s >= LOST_S + 3.0]
+    sources = [s.truth.source for s in flight.samples[4] if s.at_s >= EARLY_LOST_S + 3.0]
     assert sources.count("gps2 injected") > 0.95 * len(sources)
     assert set(flight.gps_inputs) == {4}  # the healthy are sent nothing
 
@@ -78,9 +85,9 @@ def test_an_aircraft_alone_is_located_by_stations_of_every_message(message):
     scenario = load_scenario("stations")
     scenario = scenario.model_copy(update={"ranging": scenario.ranging.model_copy(update={"message": message})})
     # RANGING_BEACON states where they stand; the others need the configuration.
-    flight = flown(scenario, settings=None if message == "ranging_beacon" else surveyed(scenario))
+    flight = flown(lost_early(scenario), settings=None if message == "ranging_beacon" else surveyed(scenario))
     assert np.sqrt(np.mean(errors_m(flight, 4) ** 2)) < (4.5 if message == "ranging_beacon" else 2.0)
-    sources = [s.truth.source for s in flight.samples[4] if s.at_s >= LOST_S + 3.0]
+    sources = [s.truth.source for s in flight.samples[4] if s.at_s >= EARLY_LOST_S + 3.0]
     assert sources.count("gps2 injected") > 0.95 * len(sources)
 
 
@@ -92,7 +99,7 @@ def test_a_beacon_without_a_position_is_never_taken_for_a_vehicle():
 
 
 def test_the_papers_stack_locates_it_too_only_coarser():
-    assert np.sqrt(np.mean(errors_m(flown(uwb(), estimator="qu_zhang"), 4) ** 2)) < 10.0
+    assert np.sqrt(np.mean(errors_m(flown(lost_early(uwb()), estimator="qu_zhang"), 4) ** 2)) < 10.0
 
 
 @pytest.fixture(scope="module")
