@@ -7,8 +7,8 @@ was off the truth in units of what it stated, and how far off the truth the auto
 from __future__ import annotations
 
 import json
+import pickle
 import tomllib
-from copy import deepcopy
 from dataclasses import dataclass
 from functools import lru_cache
 from math import hypot
@@ -178,14 +178,17 @@ def fly_through(
 def _flown(scenario: str, seed: int, switch_primary: SwitchPrimary, faults: tuple[Fault, ...], until_s: float) -> ClosedLoop:
     """Fly a scenario (JSON) with faults, in order of time. What comes before the last one begins is flown once for all tests."""
     if faults:
-        loop = deepcopy(_beginning(scenario, seed, switch_primary, faults[:-1], faults[-1].at_s - STEP_S))
+        loop = pickle.loads(_beginning(scenario, seed, switch_primary, faults[:-1], faults[-1].at_s - STEP_S))
         loop.fleet.inject(faults[-1])
     elif until_s > _FIRST_FAULT_S:
-        loop = deepcopy(_beginning(scenario, seed, switch_primary, (), _FIRST_FAULT_S - STEP_S))
+        loop = pickle.loads(_beginning(scenario, seed, switch_primary, (), _FIRST_FAULT_S - STEP_S))
     else:
         loop = ClosedLoop(Scenario.model_validate_json(scenario), seed, _Watched(switch_primary))
     loop.advance(until_s)
     return loop
 
 
-_beginning = lru_cache(maxsize=16)(_flown)
+@lru_cache(maxsize=16)
+def _beginning(scenario: str, seed: int, switch_primary: SwitchPrimary, faults: tuple[Fault, ...], until_s: float) -> bytes:
+    """A flight as far as a time, to go on from: pickled, as to read that is several times faster than a deep copy."""
+    return pickle.dumps(_flown(scenario, seed, switch_primary, faults, until_s), pickle.HIGHEST_PROTOCOL)
