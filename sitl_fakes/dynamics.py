@@ -18,9 +18,6 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 GRAVITY_MPS2 = 9.80665  # source: standard gravity, ISO 80000-3
 _MASS_KG = 11.0
 _JX, _JZ, _JXZ = 0.8244, 1.759, 0.1204
@@ -186,21 +183,3 @@ def aerosonde(airspeed_mps: float) -> LateralDerivatives:
         n_da=yaw(_CL_DA, _CN_DA),
         n_dr=yaw(_CL_DR, _CN_DR),
     )
-
-
-def state_matrix(d: LateralDerivatives) -> NDArray[np.float64]:
-    """System matrix (5, 5) of the linear lateral model, states [beta, p, r, phi, psi] in rad and rad/s (Beard & McLain 5.5.1)."""
-    return np.array(
-        [
-            [d.y_beta, d.y_p, d.y_r, GRAVITY_MPS2 / d.airspeed_mps, 0.0],
-            [d.l_beta, d.l_p, d.l_r, 0.0, 0.0],
-            [d.n_beta, d.n_p, d.n_r, 0.0, 0.0],
-            [0.0, 1.0, 0.0, 0.0, 0.0],
-            [0.0, 0.0, 1.0, 0.0, 0.0],
-        ]
-    )
-
-
-def input_matrix(d: LateralDerivatives) -> NDArray[np.float64]:
-    """Input matrix (5, 2) of the linear lateral model, inputs [aileron, rudder] in rad."""
-    return np.array([[d.y_da, d.y_dr], [d.l_da, d.l_dr], [d.n_da, d.n_dr], [0.0, 0.0], [0.0, 0.0]])

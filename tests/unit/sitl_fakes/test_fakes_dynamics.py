@@ -6,10 +6,29 @@ import math
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from sitl_fakes.dynamics import GRAVITY_MPS2, LateralAircraft, aerosonde, input_matrix, state_matrix, wrap_pi
+from sitl_fakes.dynamics import GRAVITY_MPS2, LateralAircraft, LateralDerivatives, aerosonde, wrap_pi
 
 SPEEDS = [15.0, 22.0, 35.0, 50.0]
+
+
+def state_matrix(d: LateralDerivatives) -> NDArray[np.float64]:
+    """System matrix (5, 5) of the linear lateral model, states [beta, p, r, phi, psi] in rad and rad/s (Beard & McLain 5.5.1)."""
+    return np.array(
+        [
+            [d.y_beta, d.y_p, d.y_r, GRAVITY_MPS2 / d.airspeed_mps, 0.0],
+            [d.l_beta, d.l_p, d.l_r, 0.0, 0.0],
+            [d.n_beta, d.n_p, d.n_r, 0.0, 0.0],
+            [0.0, 1.0, 0.0, 0.0, 0.0],
+            [0.0, 0.0, 1.0, 0.0, 0.0],
+        ]
+    )
+
+
+def input_matrix(d: LateralDerivatives) -> NDArray[np.float64]:
+    """Input matrix (5, 2) of the linear lateral model, inputs [aileron, rudder] in rad."""
+    return np.array([[d.y_da, d.y_dr], [d.l_da, d.l_dr], [d.n_da, d.n_dr], [0.0, 0.0], [0.0, 0.0]])
 
 
 def test_the_model_reduces_to_the_published_linear_one_about_level_flight():
