@@ -1,1 +1,4 @@
-"""Lightweight SITL fakes: the paper's aircraft as MAVLink vehicles. Shares no code with gcs_coloc; they meet on the wire only."""
+"""Lightweight SITL fakes: the paper's aircraft as MAVLink vehicles.
+
+They share no code with gcs_coloc and meet it on the wire only.
+"""

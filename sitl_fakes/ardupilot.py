@@ -31,7 +31,9 @@ _FALLS_BACK_AFTER_S = 4.0  # source: AP_AHRS::_active_EKF_type by NavEKF3's usin
 
 
 class ArduPilot(Autopilot):
-    """ArduPlane. It takes GPS_INPUT on the port that is set to it, and external estimates while it dead-reckons.
+    """ArduPlane.
+
+    It takes GPS_INPUT on the port that is set to it, and external estimates while it dead-reckons.
 
     Two lanes of EKF3 take the same measurements. Where the one in use refuses them, the other one is used if it refuses less.
     An armed plane whose EKF3 has used no position for 4 s goes by its receiver's fixes, if it has any (DCM).
@@ -55,7 +57,10 @@ class ArduPilot(Autopilot):
             self._receive(0, fix, at_s)
 
     def receive_gps_input(self, gps_id: int, fix: GpsFix, at_s: float) -> None:
-        """Take a GPS_INPUT; it is ignored, as by the autopilot, where `gps_id` is not a receiver fed by MAVLink."""
+        """Take a GPS_INPUT.
+
+        It is ignored, as by the autopilot, where `gps_id` is not a receiver fed by MAVLink.
+        """
         if gps_id in (0, 1) and is_injected(gps_id, self._params):
             self._receive(gps_id, fix, at_s)
 

@@ -1,4 +1,7 @@
-"""What every autopilot does: navigate on its estimate and steer along its route. How positions come in is each kind's own."""
+"""What every autopilot does: navigate on its estimate and steer along its route.
+
+How positions come in is each kind's own.
+"""
 
 from __future__ import annotations
 
@@ -89,7 +92,10 @@ class Autopilot(ABC):
 
     @abstractmethod
     def receive_vision(self, position_m: tuple[float, float], variance_m2: float, at_s: float) -> None:
-        """Take a VISION_POSITION_ESTIMATE: position east and north (m), the larger of its two variances (m^2, NaN unknown)."""
+        """Take a VISION_POSITION_ESTIMATE.
+
+        Position east and north (m), the larger of its two variances (m^2, NaN unknown).
+        """
 
     @abstractmethod
     def receive_range(self, beacon: BeaconRange, at_s: float) -> None:

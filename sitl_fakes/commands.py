@@ -1,4 +1,6 @@
-"""What a vehicle does with what it is sent: parameters, commands, TIMESYNC, positions from outside. Each datagram stands alone.
+"""What a vehicle does with what it is sent: parameters, commands, TIMESYNC, positions from outside.
+
+Each datagram stands alone.
 
 Faults at run time, on one vehicle: PARAM_SET of SITL's own names (SIM_GPS1_ENABLE=0, SIM_GPS1_JAM=1, SIM_GPS1_GLTCH_X/Y), or
 COMMAND_LONG MAV_CMD_USER_1 (31010) as `fault_of_command` reads it.
@@ -29,7 +31,10 @@ _OF_ANY_TARGET = ("RANGING_BEACON",)  # PX4's handler looks at no target
 
 
 def handle(vehicle: FlightController, payload: bytes, at_s: float) -> list[Any]:
-    """Execute one datagram's messages and return the answers. What is not MAVLink, or for another vehicle, is ignored."""
+    """Execute one datagram's messages and return the answers.
+
+    What is not MAVLink, or for another vehicle, is ignored.
+    """
     # RANGING_BEACON is of the development dialect, which PX4 is built with.
     parser = (development if vehicle.kind == "px4" else mavlink).MAVLink(None)
     parser.robust_parsing = True

@@ -50,7 +50,10 @@ def turn_radius_m(airspeed_mps: float) -> float:
 
 
 class FlightState(NamedTuple):
-    """What one aircraft does at one moment: position east and north (m), attitude (rad), rates (rad/s), deflections (rad)."""
+    """What one aircraft does at one moment.
+
+    Position east and north (m), attitude (rad), rates (rad/s), deflections (rad).
+    """
 
     east_m: float
     north_m: float

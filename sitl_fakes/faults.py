@@ -1,4 +1,6 @@
-"""Faults of a scenario or of a command: one model per kind, distinguished by `kind`. Times are seconds since the start.
+"""Faults of a scenario or of a command: one model per kind, distinguished by `kind`.
+
+Times are seconds since the start.
 
 A fault without `until_s` stays. Headings are degrees from north, clockwise.
 """
@@ -103,7 +105,10 @@ class LinkDropout(_Fault):
 
 
 class Reboot(_Fault):
-    """The autopilot restarts in flight: silent while it boots, then a boot clock from zero and no memory but its parameters."""
+    """The autopilot restarts in flight.
+
+    It is silent while it boots; then its boot clock is from zero and it has no memory but its parameters.
+    """
 
     kind: Literal["reboot"] = "reboot"
 

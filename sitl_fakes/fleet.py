@@ -75,7 +75,10 @@ class Fleet:
         return {sysid: position for sysid, position in elsewhere.items() if position is not None} | here | self._stations
 
     def add_shared_state(self, seen: SharedState) -> None:
-        """Add the true state of a vehicle of another process, at a simulated time. After a second without one it is gone."""
+        """Add the true state of a vehicle of another process, at a simulated time.
+
+        After a second without one it is gone.
+        """
         self._elsewhere[seen.sysid] = seen
 
     def shared_states(self) -> list[SharedState]:
@@ -83,7 +86,10 @@ class Fleet:
         return [SharedState(sysid, self.now_s, v.position_m, v.velocity_mps) for sysid, v in self._vehicles.items()]
 
     def deliver(self, sysid: int, payload: bytes, at_s: float) -> None:
-        """Send a datagram to one vehicle at a time (s): it goes through the vehicle's link and is read at the next step after."""
+        """Send a datagram to one vehicle at a time (s).
+
+        It goes through the vehicle's link and is read at the next step after.
+        """
         self._vehicles[sysid].receive(payload, at_s)
 
     def truth(self) -> dict[int, VehicleTruth]:

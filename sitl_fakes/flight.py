@@ -86,7 +86,10 @@ class Flight:
         self.air = self._read(step_s)
 
     def step(self, heading_cmd_rad: float, step_s: float, height_error_m: float = 0.0) -> None:
-        """Fly one step towards a heading of the autopilot's own compass, which has an error; its height has one, too."""
+        """Fly one step towards a heading of the autopilot's own compass.
+
+        The compass has an error; the autopilot's height has one, too.
+        """
         self._wind_mps = self._wind.advance(step_s)
         self._aircraft.step(heading_cmd_rad - self._sensors.heading_error_rad, step_s, *self._wind_mps)
         too_low_m = self._target_alt_m - self.air.altitude_m - height_error_m
@@ -154,7 +157,10 @@ def _cell(name: str, value: float | int | str | None) -> str:
 
 @dataclass(frozen=True, slots=True)
 class SharedState:
-    """The true state of an aircraft that another process simulates: time (s), position (east, north, up, m), velocity (m/s)."""
+    """The true state of an aircraft that another process simulates.
+
+    Time (s), position (east, north, up, m), velocity (m/s).
+    """
 
     sysid: int
     at_s: float
@@ -163,7 +169,10 @@ class SharedState:
 
     @classmethod
     def from_json(cls, fields_by_name: Mapping[str, Any]) -> SharedState:
-        """From the fields by name. Raises `ValueError`, `TypeError` or `KeyError` where they are not what they should be."""
+        """From the fields by name.
+
+        Raises `ValueError`, `TypeError` or `KeyError` where they are not what they should be.
+        """
         (e, n, u), (ve, vn, vu) = fields_by_name["position_m"], fields_by_name["velocity_mps"]
         if not all(math.isfinite(x) for x in (fields_by_name["at_s"], e, n, u, ve, vn, vu)):
             raise ValueError("not finite")

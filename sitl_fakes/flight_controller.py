@@ -102,7 +102,10 @@ class FlightController:
             self.autopilot.armed = armed
 
     def heading_command_rad(self, at_s: float, step_s: float) -> float:
-        """Heading to fly over the step that ends at a time, rad. While it boots nobody steers: the heading is held."""
+        """Heading to fly over the step that ends at a time, rad.
+
+        While it boots nobody steers: the heading is held.
+        """
         air = self._flight.air
         return air.heading_rad if self.booting else self.autopilot.heading_command_rad(air, at_s, step_s)
 

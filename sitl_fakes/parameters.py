@@ -91,7 +91,10 @@ class Parameters(Mapping[str, float]):
         return len(self._values)
 
     def set(self, name: str, value: float) -> None:
-        """Set a parameter; integers are rounded. The vehicle's own system id stays as it is (it is the scenario's)."""
+        """Set a parameter; integers are rounded.
+
+        The vehicle's own system id stays as it is (it is the scenario's).
+        """
         if name not in _SYSTEM_ID.values():
             self._values[name] = value if name in _REAL else float(round(value))
 

@@ -30,7 +30,10 @@ _OWN_GPS = 1 << 0  # source: EKF2_SENS_EN, bit 0
 
 
 class Px4(Autopilot):
-    """PX4 fixed wing. Where its own receiver and the auxiliary position disagree, it stays with its receiver."""
+    """PX4 fixed wing.
+
+    Where its own receiver and the auxiliary position disagree, it stays with its receiver.
+    """
 
     def __init__(self, params: Parameters, guidance: Guidance) -> None:
         super().__init__((Navigation(reset_after_s=7.0),), guidance)
@@ -122,7 +125,10 @@ class Px4(Autopilot):
         return ACCEPTED
 
     def use_own_gps(self, *, used: bool) -> int:
-        """Fuse the aircraft's own receiver, or not. EKF2 keeps what it is told while it is disarmed over a reboot."""
+        """Fuse the aircraft's own receiver, or not.
+
+        EKF2 keeps what it is told while it is disarmed over a reboot.
+        """
         self._uses_own_gps = used
         if not self.armed:
             sources = int(self._params[_SOURCES])

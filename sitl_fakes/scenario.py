@@ -1,4 +1,7 @@
-"""Scenario files: TOML, checked as a whole. An unknown key or an impossible value is refused with the file and the key's name."""
+"""Scenario files: TOML, checked as a whole.
+
+An unknown key or an impossible value is refused with the file and the key's name.
+"""
 
 from __future__ import annotations
 

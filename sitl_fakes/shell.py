@@ -34,7 +34,10 @@ Address = tuple[str, int]
 
 
 class TruthFile:
-    """The truth as CSV, ten times a second of simulated time. Raises `OSError` where the file cannot be written."""
+    """The truth as CSV, ten times a second of simulated time.
+
+    Raises `OSError` where the file cannot be written.
+    """
 
     def __init__(self, path: Path) -> None:
         self._file: TextIO = path.open("w", newline="", encoding="utf-8")
@@ -194,7 +197,10 @@ class Airspace:
         asyncio.get_running_loop().add_reader(self._socket, self._read)
 
     def send(self, aircraft: Iterable[SharedState]) -> None:
-        """Send the states of our aircraft, at UNIX times. A datagram that the network refuses is lost; newer ones follow."""
+        """Send the states of our aircraft, at UNIX times.
+
+        A datagram that the network refuses is lost; newer ones follow.
+        """
         for one in aircraft:
             text = json.dumps({"process": self._process, "scenario": self._scenario, **asdict(one)})
             try:

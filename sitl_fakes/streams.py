@@ -60,7 +60,10 @@ _RATE_PARAMETERS: Mapping[int, str] = {
 
 
 class Streams:
-    """Which message is due when. Phases differ by message, so that a vehicle does not send everything at once."""
+    """Which message is due when.
+
+    Phases differ by message, so that a vehicle does not send everything at once.
+    """
 
     def __init__(
         self, kind: Kind, params: Mapping[str, float], rng: np.random.Generator, starts_at_s: float, truth_messages: bool
@@ -81,7 +84,10 @@ class Streams:
                 self._due_s[message_id] = starts_at_s + phase / rate_hz
 
     def set_interval(self, message_id: int, interval_us: float, at_s: float) -> bool:
-        """MAV_CMD_SET_MESSAGE_INTERVAL: -1 off, 0 the default rate, else microseconds. False where the message is not offered."""
+        """MAV_CMD_SET_MESSAGE_INTERVAL: -1 off, 0 the default rate, else microseconds.
+
+        False where the message is not offered.
+        """
         if message_id not in self._streams or not math.isfinite(interval_us):
             return False
         default_hz = self._defaults_hz[message_id]

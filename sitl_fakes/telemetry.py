@@ -192,7 +192,10 @@ def vfr_hud(s: Snapshot) -> Any:
 
 
 def scaled_pressure(s: Snapshot) -> Any:
-    """SCALED_PRESSURE (29): the barometer alone, whatever the autopilot believes of its height. Standard atmosphere."""
+    """SCALED_PRESSURE (29): the barometer alone, whatever the autopilot believes of its height.
+
+    Standard atmosphere.
+    """
     pressure_hpa = 1013.25 * (1.0 - 0.0065 * s.air.altitude_m / 288.15) ** 5.25588
     return mavlink.MAVLink_scaled_pressure_message(_ms(s.boot_s), pressure_hpa, 0.0, 1500)
 
