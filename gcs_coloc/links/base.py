@@ -23,7 +23,10 @@ Clock = Callable[[], float]
 
 
 class Link(Protocol):
-    """A way to vehicles. It delivers what arrives to the handler it was built with, and sends without ever blocking."""
+    """A way to vehicles.
+
+    It delivers what arrives to the handler it was built with, and sends without ever blocking.
+    """
 
     @property
     def name(self) -> str:
@@ -90,7 +93,10 @@ class MalformedAddressError(Exception):
 
 
 class LinkAddress(ABC):
-    """A parsed connection string of one scheme. `str` gives the text back in its full form; equal texts are equal addresses."""
+    """A parsed connection string of one scheme.
+
+    `str` gives the text back in its full form; equal texts are equal addresses.
+    """
 
     FORM: ClassVar[str]
     """How it is written, as error messages show it."""
@@ -117,7 +123,10 @@ class LinkAddress(ABC):
 
     @abstractmethod
     def make_link(self, handler: DatagramHandler, clock: Clock, *, most_unsent_bytes: int = MAX_UNSENT_BYTES) -> Link:
-        """Make the link; it is not open yet. A stream keeps up to `most_unsent_bytes` of what the peer is slow to receive."""
+        """Make the link; it is not open yet.
+
+        A stream keeps up to `most_unsent_bytes` of what the peer is slow to receive.
+        """
 
 
 SCHEMES: dict[str, tuple[str, str]] = {
@@ -131,7 +140,10 @@ SCHEMES: dict[str, tuple[str, str]] = {
 
 
 def parse(text: str) -> LinkAddress:
-    """Read a connection string of a vehicles' link. Raises UsageError that quotes it and shows the right forms."""
+    """Read a connection string of a vehicles' link.
+
+    Raises UsageError that quotes it and shows the right forms.
+    """
     return _parse(text, "udpin", "14550, HOST:PORT", "udpin:[::]:14550")
 
 
@@ -141,7 +153,10 @@ def parse_out(text: str) -> LinkAddress:
 
 
 def parse_links(texts: Iterable[str]) -> list[LinkAddress]:
-    """Read the connection strings of the vehicles' links. Raises UsageError where one is malformed, or two are the same place."""
+    """Read the connection strings of the vehicles' links.
+
+    Raises UsageError where one is malformed, or two are the same place.
+    """
     links = [parse(text) for text in texts]
     for one, other in combinations(links, 2):
         if one.is_same_place(other):

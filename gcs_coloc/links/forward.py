@@ -47,7 +47,10 @@ log = logging.getLogger("gcs_coloc")
 
 @dataclass(slots=True)
 class _Out:
-    """One connection string's ground tools. `tools`: the addresses heard on a listening UDP port, and when."""
+    """One connection string's ground tools.
+
+    `tools`: the addresses heard on a listening UDP port, and when.
+    """
 
     link: Link
     listens: bool

@@ -150,7 +150,10 @@ class RouteTable:
         return binding.route
 
     def comes_from_its_binding(self, sysid: int, compid: int, link: Link, address: Address, now_s: float) -> bool:
-        """Whether a frame, from which nothing is learnt, comes from its sender's address. An unknown sender may be anywhere."""
+        """Whether a frame, from which nothing is learnt, comes from its sender's address.
+
+        An unknown sender may be anywhere.
+        """
         binding = self._components.get(self._sender(sysid, compid, is_autopilot_heartbeat=False))
         return binding is None or not self._excludes(binding, sysid, Route(link, address), now_s)
 

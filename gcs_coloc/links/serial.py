@@ -72,7 +72,10 @@ class SerialDevice(LinkAddress):
 
 
 class SerialLink:
-    """A serial device such as a telemetry radio. All vehicles behind it have one address, the one of `peers`."""
+    """A serial device such as a telemetry radio.
+
+    All vehicles behind it have one address, the one of `peers`.
+    """
 
     is_late = False
 
@@ -103,7 +106,10 @@ class SerialLink:
         return (self._far_end,)
 
     async def open(self) -> None:
-        """Open the device. LinkError where it does not exist, is in use, may not be opened or has no such speed."""
+        """Open the device.
+
+        LinkError where it does not exist, is in use, may not be opened or has no such speed.
+        """
         try:
             self._start()
         except _DEVICE_ERRORS as error:

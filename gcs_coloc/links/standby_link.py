@@ -32,7 +32,10 @@ _KINDS = {kind: name for name, kind in _OVERRIDES.items()}
 
 
 class StandbyRefusal(StrEnum):
-    """Why a datagram on the link of a hot standby was refused. Its value is the `reason` label of the metric."""
+    """Why a datagram on the link of a hot standby was refused.
+
+    Its value is the `reason` label of the metric.
+    """
 
     WRONG_KEY = "standby_wrong_key"
     """It was not made with our key, or was damaged."""

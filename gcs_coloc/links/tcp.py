@@ -112,7 +112,10 @@ class _Connection(asyncio.Protocol):
 
 
 class TcpClientLink:
-    """Connects to a port, such as a simulator's or a router's. A connection that fails or ends is made again for ever."""
+    """Connects to a port, such as a simulator's or a router's.
+
+    A connection that fails or ends is made again for ever.
+    """
 
     is_late = False
 
@@ -140,7 +143,10 @@ class TcpClientLink:
         return (self._connection.address,) if self._connection else ()
 
     async def open(self) -> None:
-        """Start to connect. LinkError where the host is not found; a port where nobody listens yet is no error."""
+        """Start to connect.
+
+        LinkError where the host is not found; a port where nobody listens yet is no error.
+        """
         loop = asyncio.get_running_loop()
         try:
             await loop.getaddrinfo(self._address.host, self._address.port, type=socket.SOCK_STREAM)

@@ -148,7 +148,10 @@ class Queue:
 
 
 class Outbox:
-    """Payloads that a stream has not accepted yet. Forwarded ones wait until no other waits, and push no other out."""
+    """Payloads that a stream has not accepted yet.
+
+    Forwarded ones wait until no other waits, and push no other out.
+    """
 
     def __init__(self, counts: Counts, most_bytes: int) -> None:
         self._bounds = (counts, most_bytes)

@@ -194,7 +194,10 @@ def _require_one_host(address: NetworkAddress, family: socket.AddressFamily, soc
 
 
 def _connects(sockaddr: Any, *, broadcast: bool = False) -> bool:
-    """Whether the system would send to an address; False only where it does not permit it. Nothing is sent."""
+    """Whether the system would send to an address; False only where it does not permit it.
+
+    Nothing is sent.
+    """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, broadcast)
         return probe.connect_ex(sockaddr) != errno.EACCES
