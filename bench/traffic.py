@@ -24,10 +24,10 @@ _LOST_AT_S = 5.0
 _RANGE_HZ = 5.0
 _LATENCY_S, _JITTER_S = 0.02, 0.02
 _BESIDE_M, _ABOVE_M = 60.0, 7.0
-_EVERY_SECOND = (1, 2, 24, 30, 74, 124, 193)
+_EVERY_SECOND = (1, 2, 24, 29, 30, 74, 124, 193)
 _POSITION, _POSITION_HZ = 33, 10.0
 # What an ArduPlane sends besides, taken from one: the service passes these over.
-OTHERS = (62, 163, 178, 125, 152, 42, 36, 65, 27, 116, 129, 29, 137, 168, 136, 32, 87, 147, 11020, 11030, 295, 241)
+OTHERS = (62, 163, 178, 125, 152, 42, 36, 65, 27, 116, 129, 137, 168, 136, 32, 87, 147, 11020, 11030, 295, 241)
 _SEED = 1
 
 
