@@ -10,8 +10,7 @@ from gcs_coloc.core.aiding.px4 import px4_method
 from gcs_coloc.core.aiding.settings import AidingMethodName
 from gcs_coloc.core.messages.control import ALL_WOULD_USE_IT, OWN_ADDRESS
 from gcs_coloc.core.messages.inbound import Autopilot
-from gcs_coloc.core.readiness.limiting_reason import LimitingReason
-from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
+from gcs_coloc.core.readiness.vehicle_readiness import LimitingReason, ReadinessState
 from gcs_coloc.core.stations.node_id import is_station, node_name
 from gcs_coloc.doctor import ardupilot_checks, px4_checks, stream_checks
 from gcs_coloc.doctor.finding import Finding, FleetSurvey, Setup, Severity, VehicleSurvey, note, right, stop

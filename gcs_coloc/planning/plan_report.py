@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from gcs_coloc.core.geodesy import LocalFrame
-from gcs_coloc.core.readiness.limiting_reason import IN_LINE_HDOP
+from gcs_coloc.core.readiness.vehicle_readiness import IN_LINE_HDOP
 from gcs_coloc.planning.assessment import Assessment, Outlook, Stretch
 from gcs_coloc.planning.improvement import Improvement, no_improvement
 from gcs_coloc.recorder.reports.html_page import HEAD, Ink, PlotImage, image, in_both_inks, table

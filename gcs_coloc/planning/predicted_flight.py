@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_coloc.core.measurements import FloatArray, Vector3
-from gcs_coloc.core.readiness.limiting_reason import IN_LINE_HDOP
+from gcs_coloc.core.readiness.vehicle_readiness import IN_LINE_HDOP
 
 _LEAST_RANGED = 2
 _AFTER_S = 15.0

@@ -32,7 +32,7 @@ from gcs_coloc.core.measurements import (
     VehicleClass,
     VehicleClassReport,
 )
-from gcs_coloc.core.readiness.limiting_reason import limiting_reason, unit_vectors
+from gcs_coloc.core.readiness.vehicle_readiness import limiting_reason, unit_vectors
 from gcs_coloc.estimators.fleet.ekf.measurement_models import REPORT_VELOCITY_TIME_S
 from gcs_coloc.estimators.fleet.ekf.state import pair_key
 from gcs_coloc.estimators.fleet.hypotheses import FleetHypotheses

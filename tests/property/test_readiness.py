@@ -7,8 +7,7 @@ from math import isfinite
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gcs_coloc.core.readiness.limiting_reason import LimitingReason
-from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
+from gcs_coloc.core.readiness.vehicle_readiness import LimitingReason, ReadinessState
 from tests.ready_fleet import RANGED, Flying, ReadyFleet
 
 _metres = st.one_of(st.floats(-3000.0, 3000.0), st.sampled_from((0.0, 1.0, 100.0)))

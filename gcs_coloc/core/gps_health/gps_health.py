@@ -18,9 +18,8 @@ from dataclasses import dataclass
 from enum import Enum
 
 from gcs_coloc.core.gps_health.doppler_check import DopplerCheck
-from gcs_coloc.core.gps_health.evidence import GpsEvidence, is_fresh, reported_interference
+from gcs_coloc.core.gps_health.evidence import GpsEvidence, GpsReason, is_fresh, reported_interference
 from gcs_coloc.core.gps_health.position_checks import MotionCheck, ReceiverCheck
-from gcs_coloc.core.gps_health.reasons import GpsReason
 from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages.control import HOST_LATE_S, GpsOverride
 from gcs_coloc.core.messages.inbound import GlobalPosition, GpsReceiver, Interference

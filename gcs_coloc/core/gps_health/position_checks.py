@@ -11,7 +11,7 @@ from math import hypot, sqrt
 from typing import NamedTuple
 
 from gcs_coloc.core.geodesy import horizontal_distance_m
-from gcs_coloc.core.gps_health.reasons import GpsReason
+from gcs_coloc.core.gps_health.evidence import GpsReason
 from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages.inbound import GlobalPosition, GpsReceiver
 from gcs_coloc.core.reasons import StatedReason

@@ -25,8 +25,15 @@ from gcs_coloc.core.integrity.report import IntegrityReport
 from gcs_coloc.core.integrity.solution_separation import SolutionSeparation, noise_excess_m2
 from gcs_coloc.core.measurements import Estimate, NoEstimate, PositionMeasurement, Vector3
 from gcs_coloc.core.readiness.held_motion import HeldMotion
-from gcs_coloc.core.readiness.limiting_reason import IN_LINE_HDOP, Limit, LimitingReason, limiting_reason, node_names
-from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState, VehicleReadiness
+from gcs_coloc.core.readiness.vehicle_readiness import (
+    IN_LINE_HDOP,
+    Limit,
+    LimitingReason,
+    ReadinessState,
+    VehicleReadiness,
+    limiting_reason,
+    node_names,
+)
 
 _MOST_HDOP_CHANGE = 1.3
 """Chosen on 104 losses of 14 kinds, of which 72 % are told so, 91 % of these within 20 %; with 1.1 it were 52 and 94 %, with 1.5

@@ -17,9 +17,8 @@ from gcs_coloc.core.integrity.fix_check import star
 from gcs_coloc.core.integrity.protection_level import Exposure, ProtectionSettings
 from gcs_coloc.core.measurements import PositionMeasurement, RangeMeasurement
 from gcs_coloc.core.readiness.held_motion import TurnRates
-from gcs_coloc.core.readiness.limiting_reason import Limit, LimitingReason
 from gcs_coloc.core.readiness.loss_forecast import LossSituation, forecast
-from gcs_coloc.core.readiness.vehicle_readiness import HORIZON_S, ReadinessState, VehicleReadiness
+from gcs_coloc.core.readiness.vehicle_readiness import HORIZON_S, Limit, LimitingReason, ReadinessState, VehicleReadiness
 from gcs_coloc.core.schedule import SAME_S
 from gcs_coloc.core.telemetry.reported_state import ReportedState
 

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
+from gcs_coloc.core.aiding.inhibit import Inhibit, InhibitReason
+from gcs_coloc.core.measurements import AMBIGUOUS, Estimate, NoEstimate, Vector3
+from gcs_coloc.core.reasons import StatedReason, WordedReason
+from gcs_coloc.core.stations.node_id import node_name
+
 HORIZON_S = 30.0
 """So far ahead a loss is predicted. Chosen: time to take a vehicle over, or to bring a peer into a better place."""
+IN_LINE_HDOP = 5.0
+"""Chosen: from here on the peers count as in one line with the vehicle: the error is five times that of a range and more."""
 
 
 class ReadinessState(StrEnum):
@@ -46,3 +55,66 @@ class VehicleReadiness:
     hdop: float | None = None
     is_told: bool = False
     is_lost: bool = False
+
+
+class LimitingReason(WordedReason):
+    """Why there would be no fix, or only a coarse one, worded here alone."""
+
+    NO_PEER = "no_peer", "no peer ranged"
+    ONE_PEER = "one_peer", "one peer ranged: {detail}"
+    IN_LINE = "in_line", "peers {detail} in one line with it: HDOP {value:.0f}"
+    AMBIGUOUS = "ambiguous", "a position on the other side of peers {detail} fits the ranges as well"
+    BEYOND_ALERT_LIMIT = "beyond_alert_limit", "protection level {value:.0f} m, beyond the alert limit of {limit:g} m"
+    NOT_TESTED = "not_tested", "the ranges cannot test the position of {detail}"
+    NO_ESTIMATE = "no_estimate", "{detail}"
+    NOT_AIDED = "not_aided", "it could not be aided: {detail}"
+    NOT_PREDICTED = "not_predicted", "the estimator {detail} predicts no loss of GPS"
+    OTHER = "other", "{detail}"
+
+
+Limit = StatedReason[LimitingReason]
+"""What limits the location of a vehicle, with the numbers of it."""
+
+
+def limiting_reason(inhibit: Inhibit | None, answer: Estimate | NoEstimate, hdop: float, ranged: Sequence[int]) -> Limit | None:
+    """Return what limits a vehicle that ranges some nodes; None where it has a fix.
+
+    `inhibit` is why no fix is stated of the estimator's `answer`, `hdop` the horizontal dilution of the ranges. The geometry is
+    named where it is the cause.
+    """
+    if inhibit is None:
+        return None
+    if not ranged:
+        return Limit(LimitingReason.NO_PEER)
+    names = node_names(ranged)
+    if len(ranged) == 1:
+        return Limit(LimitingReason.ONE_PEER, detail=names)
+    if hdop >= IN_LINE_HDOP:
+        return Limit(LimitingReason.IN_LINE, min(hdop, 999.0), detail=names)
+    match inhibit.reason:
+        case InhibitReason.BEYOND_ALERT_LIMIT:
+            return Limit(LimitingReason.BEYOND_ALERT_LIMIT, inhibit.value, inhibit.limit)
+        case InhibitReason.UNTESTED:
+            return Limit(LimitingReason.NOT_TESTED, detail=inhibit.detail)
+        case InhibitReason.NO_ESTIMATE:
+            if isinstance(answer, NoEstimate) and answer.reason.reason in AMBIGUOUS:
+                return Limit(LimitingReason.AMBIGUOUS, detail=names)
+            return Limit(LimitingReason.NO_ESTIMATE, detail=inhibit.detail)
+    return Limit(LimitingReason.OTHER, detail=inhibit.text)
+
+
+def node_names(nodes: Sequence[int]) -> str:
+    """Return the names of some nodes in a sentence: "2, 3 and station 7"."""
+    names = [node_name(node) for node in nodes]
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+
+
+def unit_vectors(here: Vector3, peers: Mapping[int, Vector3], max_range_m: float) -> dict[int, Vector3]:
+    """Return the unit vectors from the peers in range to a vehicle, by node."""
+    units: dict[int, Vector3] = {}
+    for node, (e, n, u) in sorted(peers.items()):
+        de, dn, du = here[0] - e, here[1] - n, here[2] - u
+        length = math.sqrt(de * de + dn * dn + du * du)
+        if 0.01 < length <= max_range_m:
+            units[node] = (de / length, dn / length, du / length)
+    return units

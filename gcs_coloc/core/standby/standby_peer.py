@@ -14,8 +14,7 @@ from collections.abc import Collection
 
 from gcs_coloc.core.messages.control import SwitchedReceiver
 from gcs_coloc.core.reasons import StatedReason
-from gcs_coloc.core.standby.feed_permits import FeedPermits
-from gcs_coloc.core.standby.feed_watch import FeedWatch
+from gcs_coloc.core.standby.feed_watch import FeedPermits, FeedWatch
 from gcs_coloc.core.standby.other_service import FRESH_S, PRESENT_S, Heard, OtherService
 from gcs_coloc.core.standby.sign_of_life import (
     NOTHING_SHARED,

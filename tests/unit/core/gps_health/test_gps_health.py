@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from gcs_coloc.core.gps_health.evidence import GpsEvidence, RangeContradiction
+from gcs_coloc.core.gps_health.evidence import GpsEvidence, GpsReason, RangeContradiction
 from gcs_coloc.core.gps_health.gps_health import GpsHealth, GpsHealthSettings, GpsState
-from gcs_coloc.core.gps_health.reasons import GpsReason
 from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages.control import GpsOverride
 from gcs_coloc.core.messages.inbound import EkfStatus, GpsReceiver, SystemHealth

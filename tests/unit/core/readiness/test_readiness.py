@@ -9,8 +9,7 @@ import pytest
 
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import EngineSettings
-from gcs_coloc.core.readiness.limiting_reason import LimitingReason
-from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
+from gcs_coloc.core.readiness.vehicle_readiness import LimitingReason, ReadinessState
 from gcs_coloc.core.telemetry.measurement_settings import MeasurementSettings
 from gcs_coloc.estimators.qu_zhang.filter import QuZhangFilter
 from tests.engine_flights import StraightLine
