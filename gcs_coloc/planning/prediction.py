@@ -33,14 +33,13 @@ from gcs_coloc.core.measurements import (
     VehicleClassReport,
 )
 from gcs_coloc.core.readiness.vehicle_readiness import limiting_reason, unit_vectors
+from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NoiseSplit
 from gcs_coloc.estimators.fleet.ekf.measurement_models import REPORT_VELOCITY_TIME_S
 from gcs_coloc.estimators.fleet.ekf.state import pair_key
 from gcs_coloc.estimators.fleet.hypotheses import FleetHypotheses
 from gcs_coloc.estimators.fleet.peer_selection import select_peers
 from gcs_coloc.estimators.fleet.settings import FleetSettings
-from gcs_coloc.planning.fleet_plan import FleetPlan
-from gcs_coloc.planning.known_noise import condensed, known_split
-from gcs_coloc.planning.planned_motion import PlannedMotion, planned_attitudes
+from gcs_coloc.planning.fleet_plan import FleetPlan, PlannedMotion, planned_attitudes
 from gcs_coloc.planning.predicted_flight import PredictedStep, Prediction, as_prediction
 
 STEP_S = 1.0
@@ -61,6 +60,10 @@ WITH_GPS_S = 5.0
 _CHOSEN_EVERY = 5
 """Steps from one choice of peers to the next. Chosen: geometry changes little in 10 s."""
 _MEDIAN_VARIANCE_RATIO = 1.57  # pi / 2: variance of a Gaussian sample's median over that of its mean
+_KNOWN_WEIGHT = 1e6
+"""Samples that a stream's noise counts as known by: no bound on it is left."""
+_COLOURED_LEAST = 0.1
+"""Least share of a sigma that no averaging removes: `least_coloured_share` of the filter."""
 
 
 def predict(plan: FleetPlan, denied: tuple[int, ...], step_s: float | None = None) -> list[Prediction]:
@@ -94,7 +97,7 @@ class _Recursion:
         # Of less than one in a step each tells as much less.
         self._ranges_a_step, reports_a_step = a.range_rate_hz * step_s, a.position_rate_hz * step_s
         self._range_sigma_m = a.range_sigma_m / sqrt(self._ranges_a_step)
-        self._report_sigma_m, self._report_white = condensed(a.position_sigma_m, a.position_white_share, reports_a_step)
+        self._report_sigma_m, self._report_white = _condensed(a.position_sigma_m, a.position_white_share, reports_a_step)
         self._velocity_sigma_mps = a.velocity_sigma_mps / sqrt(max(step_s / REPORT_VELOCITY_TIME_S, 1.0))
         self._stations = {station.node: station for station in plan.stations}
         self._policies: dict[int, FixPolicy] = {}
@@ -178,7 +181,7 @@ class _Recursion:
         sigma_m = self._report_sigma_m
         record = self._filter.main.records.writable(sysid)
         record.in_one_step = sysid not in self._denied
-        record.report_noise = known_split((sigma_m, VERTICAL_RATIO * sigma_m), self._report_white)
+        record.report_noise = _known_split((sigma_m, VERTICAL_RATIO * sigma_m), self._report_white)
         record.gust_noise.log_level = record.manoeuvre_noise.log_level = 0.0
         vertical_m = VERTICAL_RATIO * sigma_m
         self._feed(PositionMeasurement(sysid, at_s, at_s, place, sigma_m, vertical_m, velocity, self._velocity_sigma_mps))
@@ -186,7 +189,7 @@ class _Recursion:
     def _feed_range(self, sysid: int, node: int, here: Mapping[int, Vector3], at_s: float) -> None:
         there = self._stations[node].position_enu_m if node in self._stations else here[node]
         for model in (self._filter.main, *(each.model for each in self._filter.hypotheses.values())):
-            model.pairs[pair_key(sysid, node, 0)] = known_split((self._range_sigma_m,), 1.0)
+            model.pairs[pair_key(sysid, node, 0)] = _known_split((self._range_sigma_m,), 1.0)
         range_m, samples = math.dist(here[sysid], there), self._ranges_a_step
         self._feed(RangeMeasurement(sysid, node, at_s, at_s, range_m, self._range_sigma_m, samples=samples))
 
@@ -199,7 +202,7 @@ class _Recursion:
     def _feed(self, measurement: Measurement) -> None:
         if isinstance(measurement, AltitudeMeasurement):
             record = self._filter.main.records.writable(measurement.vehicle)
-            record.altitude_noise = known_split((measurement.sigma_m,), 0.0)
+            record.altitude_noise = _known_split((measurement.sigma_m,), 0.0)
             record.gust_noise.log_level = record.manoeuvre_noise.log_level = 0.0
         self._filter.apply(measurement)
 
@@ -273,3 +276,17 @@ class _Recursion:
         self.rows[sysid].append(
             PredictedStep(at_s, here[sysid], hdop, bound_m, hpl_m, offset_m, len(ranged), inhibit is None, text, code)
         )
+
+
+def _condensed(sigma_m: float, white_share: float, samples: float) -> tuple[float, float]:
+    """Return the sigma of the mean of some samples, and the white share of it (as a ratio of sigmas)."""
+    white_m = sigma_m * white_share
+    coloured_m = sqrt(max(sigma_m * sigma_m - white_m * white_m, (_COLOURED_LEAST * sigma_m) ** 2))
+    white_m /= sqrt(samples)
+    whole_m = hypot(white_m, coloured_m)
+    return whole_m, white_m / whole_m
+
+
+def _known_split(sigmas_m: tuple[float, ...], white_share: float) -> NoiseSplit:
+    """Return the split of a stream whose noise is known: this share of its sigma is white."""
+    return NoiseSplit((), tuple(((white_share * sigma_m) ** 2 * _KNOWN_WEIGHT, _KNOWN_WEIGHT) for sigma_m in sigmas_m))
