@@ -123,7 +123,7 @@ def main() -> None:
 def _work(fleet: FleetOf, descriptor: int, level: str, console: SharedConsole) -> None:
     """Run one fleet as a worker of the supervisor whose socket `descriptor` is; every line of the log begins with its name."""
     from gcs_coloc.service.service import Service
-    from gcs_coloc.service.worker_report import SupervisorLink
+    from gcs_coloc.service.worker import SupervisorLink
     from gcs_coloc.sinks.console import log_to_stderr, log_uncaught
 
     log_to_stderr(level, console, f"{fleet.name}: ")

@@ -23,7 +23,7 @@ from gcs_coloc.sinks import console as console_sink
 from gcs_coloc.sinks.console import SharedConsole
 
 if TYPE_CHECKING:
-    from gcs_coloc.service.worker_report import SupervisorLink, WorkerReport
+    from gcs_coloc.service.worker import SupervisorLink, WorkerReport
     from gcs_coloc.sinks.mqtt import Mqtt
     from gcs_coloc.web.server import WebServer
 
@@ -108,7 +108,7 @@ class Service:
 
     def _work_for(self, supervisor: SupervisorLink) -> list[Coroutine[Any, Any, None]]:
         """Tell the supervisor how the fleet stands, and end with it."""
-        from gcs_coloc.service.worker_report import REPORT_EVERY_S
+        from gcs_coloc.service.worker import REPORT_EVERY_S
 
         async def end_with_it() -> None:
             await supervisor.wait_until_gone()
@@ -135,7 +135,7 @@ class _Observed:
 
     def report(self) -> WorkerReport:
         """How the fleet stands, for the supervisor."""
-        from gcs_coloc.service.worker_report import REPORT_EVERY_S, WorkerReport
+        from gcs_coloc.service.worker import REPORT_EVERY_S, WorkerReport
         from gcs_coloc.sinks.fleet_overview import fleet_overview
 
         snapshot = self.path.snapshots.recent_snapshot()

@@ -18,8 +18,7 @@ from prometheus_client.core import Metric
 
 from gcs_coloc.config.fleets import FleetOf
 from gcs_coloc.core.errors import WebError
-from gcs_coloc.service.worker import Worker
-from gcs_coloc.service.worker_report import WorkerReport
+from gcs_coloc.service.worker import Worker, WorkerReport
 from gcs_coloc.sinks.event_bus import IdleScheduler
 from gcs_coloc.sinks.fleets_metrics import MergedMetrics, read_metrics, worker_metrics
 from gcs_coloc.sinks.watched_fleets import FleetShown, Presence, WatchedFleets

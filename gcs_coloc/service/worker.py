@@ -1,4 +1,4 @@
-"""One fleet's worker process as its supervisor sees it: started, heard, started again when it dies, and ended."""
+"""One fleet's worker process and its supervisor: what either sees of the other."""
 
 from __future__ import annotations
 
@@ -8,20 +8,61 @@ import logging
 import signal
 import socket
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
-from gcs_coloc.service.worker_report import MAX_REPORT_BYTES, WorkerReport
+from gcs_coloc.core.errors import UsageError
+from gcs_coloc.sinks.fleet_overview import FleetOverview
 
 log = logging.getLogger("gcs_coloc")
 
+REPORT_EVERY_S = 1.0
+"""Chosen: as often as the fleet is published over MQTT."""
+MAX_REPORT_BYTES = 4_000_000
+"""Chosen: a fleet of 255 vehicles with 2000 alarms has a tenth of it."""
 _FIRST_PAUSE_S = 0.1
 """Before a worker that died is started again. Chosen: little beside the second of a start; an aircraft may depend on it."""
 _LONGEST_PAUSE_S = 5.0
 """The pause doubles with each death up to this. Chosen: what cannot start costs a fifth of a core at most."""
 _STEADY_S = 30.0
 """A worker that lived for so long is started again after the first pause. Chosen: longer than whatever fails at a start."""
+
+
+class WorkerReport(BaseModel):
+    """A line from worker to supervisor: the address of the fleet's own page, None where it has none, and how the fleet stands."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    page: str | None
+    overview: FleetOverview
+
+
+class SupervisorLink:
+    """The worker's end. `descriptor` is of a socket that the supervisor made, and that closes when the supervisor dies."""
+
+    def __init__(self, descriptor: int) -> None:
+        """UsageError where it is no socket."""
+        try:
+            self._socket = socket.socket(fileno=descriptor)
+        except OSError:
+            raise UsageError(f"--supervisor {descriptor}: is no socket; leave it to the supervisor") from None
+        self._writer: asyncio.StreamWriter | None = None
+
+    async def wait_until_gone(self) -> None:
+        """Return once the supervisor has gone, however it ended."""
+        reader, self._writer = await asyncio.open_connection(sock=self._socket)
+        try:
+            while await reader.read(1024):
+                pass
+        except ConnectionError:
+            pass
+
+    async def send_reports(self, report: Callable[[], WorkerReport], slots: AsyncIterator[None]) -> None:
+        """Send a report in each slot; one that the supervisor is too slow for is left out, and nothing ever waits for it."""
+        async for _ in slots:
+            writer = self._writer
+            if writer is not None and not writer.is_closing() and not writer.transport.get_write_buffer_size():
+                writer.write(report().model_dump_json().encode() + b"\n")
 
 
 class BackOff:
