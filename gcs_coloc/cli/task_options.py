@@ -9,8 +9,7 @@ from typing import Annotated
 import typer
 
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.runtime.kept_results import KeptResults
-from gcs_coloc.runtime.tasks import Workers
+from gcs_coloc.runtime.tasks import KeptResults, Workers
 
 JobsOption = Annotated[int, typer.Option(help="Processes; 0 is one per core.", min=0)]
 SchedulerOption = Annotated[

@@ -13,8 +13,7 @@ import numpy as np
 from gcs_coloc.planning.fleet_plan import FleetPlan
 from gcs_coloc.planning.predicted_flight import Prediction
 from gcs_coloc.planning.prediction import longest_step_s, predict
-from gcs_coloc.runtime.kept_results import KeptResults
-from gcs_coloc.runtime.tasks import Progress, Workers, run_tasks
+from gcs_coloc.runtime.tasks import KeptResults, Progress, Workers, run_tasks
 
 _STEPS_A_TASK = 300
 """Steps of the recursion in a task at least. Measured: 2 ms each on the tutorial's plans; a task takes half a second then."""

@@ -19,8 +19,7 @@ from gcs_coloc.planning.assessment import Assessment, Outlook, outlook
 from gcs_coloc.planning.fleet_plan import FleetPlan, PlannedStation, PlannedVehicle
 from gcs_coloc.planning.flight_path import FlightPath
 from gcs_coloc.planning.prediction import predict
-from gcs_coloc.runtime.kept_results import KeptResults
-from gcs_coloc.runtime.tasks import Progress, Workers, run_tasks
+from gcs_coloc.runtime.tasks import KeptResults, Progress, Workers, run_tasks
 
 _SHIFTS_S = (-120.0, -60.0, -30.0, 30.0, 60.0, 120.0)  # chosen: what an operator would try
 _ASIDE_SHARES = (0.1, 0.25)

@@ -1,26 +1,31 @@
 """Tasks on several cores or on a Dask cluster, with progress; the results are the same wherever they are computed.
 
 A task is a picklable function with a picklable argument, is seeded where it draws noise, and can be done again: a worker that
-dies loses nothing, as its task is given to another one.
+dies loses nothing, as its task is given to another one. Results may be kept, a file for each in a directory, so that a run that
+was stopped goes on where it was.
 """
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import multiprocessing
 import os
+import pickle
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
+from pathlib import Path
 from types import TracebackType
 from typing import Protocol, TypeVar, cast
 
-from gcs_coloc.core.errors import TaskError
-from gcs_coloc.runtime.kept_results import KeptResults
+from gcs_coloc.core.errors import TaskError, UsageError
+from gcs_coloc.runtime.output_paths import make_output_directory
 from gcs_coloc.runtime.process import collect_seldom
+from gcs_coloc.runtime.program import program_versions
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -195,3 +200,46 @@ class _Processes:
     def _begin(self) -> Executor:
         # A forked child would inherit the locks of whatever threads its parent has.
         return ProcessPoolExecutor(self._jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_begin_worker)
+
+
+class KeptResults:
+    """Results by what was computed: program, function and task. Another program or task finds nothing of these."""
+
+    def __init__(self, directory: Path) -> None:
+        """Make the directory where there is none.
+
+        Raises:
+            UsageError: it is a file, or may not be made.
+        """
+        make_output_directory(directory, "--resume")
+        self._directory = directory
+
+    def path_of(self, function: Callable[..., object], task: object) -> Path:
+        """Return the file of a task's result; it exists where the task was done."""
+        digest = hashlib.sha256(pickle.dumps((program_versions(), function, task)))
+        return self._directory / f"{digest.hexdigest()[:32]}.pickle"
+
+    def load(self, path: Path) -> object:
+        """Return a result.
+
+        Raises:
+            UsageError: it cannot be read.
+        """
+        try:
+            result: object = pickle.loads(path.read_bytes())  # noqa: S301 - as much the user's own as the program is
+        except (OSError, pickle.UnpicklingError, EOFError) as error:
+            raise UsageError(f"--resume {self._directory}: {path.name} cannot be read ({error}); delete it") from None
+        return result
+
+    def store(self, path: Path, result: object) -> None:
+        """Write a result: whole, or, where the program is stopped meanwhile, not at all.
+
+        Raises:
+            UsageError: it cannot be written.
+        """
+        draft = path.with_suffix(".part")
+        try:
+            draft.write_bytes(pickle.dumps(result))
+            draft.replace(path)
+        except OSError as error:
+            raise UsageError(f"--resume {self._directory}: cannot be written to: {error.strerror}") from None

@@ -8,8 +8,7 @@ from functools import partial
 import numpy as np
 
 from gcs_coloc.core.measurements import FloatArray
-from gcs_coloc.runtime.kept_results import KeptResults
-from gcs_coloc.runtime.tasks import Progress, Workers, run_tasks
+from gcs_coloc.runtime.tasks import KeptResults, Progress, Workers, run_tasks
 from gcs_coloc.study.paper_filters import KINDS
 from gcs_coloc.study.paper_options import PUBLISHED_TABLE_2, PaperOptions
 from gcs_coloc.study.paper_runs import (

@@ -26,8 +26,7 @@ from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.recorder.replay import Replay
 from gcs_coloc.recorder.side_tables import read_truth
 from gcs_coloc.recorder.tlog import TlogReader
-from gcs_coloc.runtime.kept_results import KeptResults
-from gcs_coloc.runtime.tasks import Progress, Workers, run_tasks
+from gcs_coloc.runtime.tasks import KeptResults, Progress, Workers, run_tasks
 from gcs_coloc.study.integrity.flight_classes import CLASSES
 from gcs_coloc.study.integrity.simulated_fleet import SimulatedFleet
 

@@ -15,8 +15,7 @@ from rich.table import Table
 from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.planning.predicted_flight import Prediction
 from gcs_coloc.planning.prediction import predict
-from gcs_coloc.runtime.kept_results import KeptResults
-from gcs_coloc.runtime.tasks import Progress, Workers, run_tasks
+from gcs_coloc.runtime.tasks import KeptResults, Progress, Workers, run_tasks
 from gcs_coloc.study.planning.check_plans import CHECK_PLANS
 from gcs_coloc.study.planning.drawn_flight import DrawnFlight, fly_plan
 

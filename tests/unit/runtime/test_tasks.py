@@ -10,9 +10,7 @@ from pathlib import Path
 import pytest
 
 from gcs_coloc.core.errors import TaskError, UsageError
-from gcs_coloc.runtime import kept_results
-from gcs_coloc.runtime.kept_results import KeptResults
-from gcs_coloc.runtime.tasks import Workers, iterate_tasks, run_tasks
+from gcs_coloc.runtime.tasks import KeptResults, Workers, iterate_tasks, run_tasks
 
 
 def die_once(directory: Path, number: int) -> int:
@@ -141,7 +139,7 @@ def test_a_run_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
 def test_results_of_another_program_are_not_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kept, done = KeptResults(tmp_path / "kept"), tmp_path / "done"
     run_tasks(partial(log, done), [1], Workers(), lambda *_: None, kept)
-    monkeypatch.setattr(kept_results, "program_versions", lambda: {"source": "another"})
+    monkeypatch.setattr("gcs_coloc.runtime.tasks.program_versions", lambda: {"source": "another"})
     run_tasks(partial(log, done), [1], Workers(), lambda *_: None, kept)
 
     assert done.read_text().split() == ["1", "1"]

@@ -9,8 +9,7 @@ import pytest
 from rich.console import Console
 
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.runtime.kept_results import KeptResults
-from gcs_coloc.runtime.tasks import Workers
+from gcs_coloc.runtime.tasks import KeptResults, Workers
 from gcs_coloc.study.paper import PaperStudy, run_paper_study
 from gcs_coloc.study.paper_filters import KINDS
 from gcs_coloc.study.paper_options import PUBLISHED_TABLE_2, ConstantR, PaperOptions

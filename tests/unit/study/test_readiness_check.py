@@ -12,8 +12,7 @@ from typer.testing import CliRunner
 
 from gcs_coloc.cli.main import app
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.runtime.kept_results import KeptResults
-from gcs_coloc.runtime.tasks import Workers
+from gcs_coloc.runtime.tasks import KeptResults, Workers
 from gcs_coloc.study import readiness_check
 from gcs_coloc.study.readiness_check import Loss, check_table, run_checks
 
