@@ -14,6 +14,8 @@ from gcs_coloc.links.base import Address, Link, Route
 from gcs_coloc.links.eviction import find_evicted
 from gcs_coloc.mavlink.refusals import Counts, Refusal
 
+SHARED_MEMORY_S = 60.0
+"""An autopilot, heard once, counts as being at an address for so long: a vehicle that we do not hear may still hear us."""
 PROVEN_AFTER_S = 10.0
 """A vehicle that is known for so long is proven. Chosen: ten heartbeats, and longer than a flood of forged ids is overlooked."""
 WARN_EVERY_S = 10.0
@@ -55,9 +57,7 @@ class RouteTable:
     `rebind_after_s`: how long a system must be silent at its address before it may be bound to another one.
     `companions_elsewhere`: components other than the autopilot may have addresses of their own; without, all frames of a vehicle
     come from one address; of two addresses, the one with the autopilot's heartbeat counts.
-    `shared_memory_s`: how long an autopilot, heard once, counts as being at an address. It is long because a vehicle
-    that we do not hear may still hear us. `max_components`, `max_addresses`: bounds of the tables; what makes room in a full one
-    is the rule of `find_evicted`.
+    `max_components`, `max_addresses`: bounds of the tables; what makes room in a full one is the rule of `find_evicted`.
     """
 
     def __init__(
@@ -65,7 +65,6 @@ class RouteTable:
         *,
         rebind_after_s: float = 5.0,
         companions_elsewhere: bool = False,
-        shared_memory_s: float = 60.0,
         max_components: int = 1024,
         max_addresses: int = 256,
     ) -> None:
@@ -73,7 +72,6 @@ class RouteTable:
         self.conflicts = AddressConflicts()
         self._companions_elsewhere = companions_elsewhere
         self._rebind_after_s = rebind_after_s
-        self._shared_memory_s = shared_memory_s
         self._max_components = max_components
         self._max_addresses = max_addresses
         # Both are in the order of last hearing, so the first entry is the one silent for longest.
@@ -133,7 +131,7 @@ class RouteTable:
     def autopilots_at(self, link: Link, address: Address, now_s: float) -> tuple[int, ...]:
         """The vehicles that are reached at an address, or were a short while ago, by system id."""
         heard = self._autopilots_at.get(Route(link, address), {})
-        return tuple(sorted(sysid for sysid, at_s in heard.items() if now_s - at_s <= self._shared_memory_s))
+        return tuple(sorted(sysid for sysid, at_s in heard.items() if now_s - at_s <= SHARED_MEMORY_S))
 
     def route(self, sysid: int, now_s: float) -> Route | Blocked:
         """Where the autopilot of a vehicle is reached, or why not everything may be sent to it."""
@@ -143,7 +141,7 @@ class RouteTable:
         others = sorted(
             other
             for other, heard_at_s in self._autopilots_at.get(binding.route, {}).items()
-            if other != sysid and now_s - heard_at_s <= self._shared_memory_s
+            if other != sysid and now_s - heard_at_s <= SHARED_MEMORY_S
         )
         if others:
             return Blocked(RouteBlock.SHARED_ADDRESS, tuple(others), binding.route)
@@ -196,7 +194,7 @@ class RouteTable:
             if len(self._autopilots_at) >= self._max_addresses:
                 evicted = find_evicted(
                     self._autopilots_at,
-                    is_silent=lambda route: now_s - max(self._autopilots_at[route].values()) > self._shared_memory_s,
+                    is_silent=lambda route: now_s - max(self._autopilots_at[route].values()) > SHARED_MEMORY_S,
                     is_proven=lambda route: any(map(self.is_proven, self._autopilots_at[route])),
                     for_proven=self.is_proven(sysid),
                 )
