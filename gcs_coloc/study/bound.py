@@ -57,10 +57,9 @@ class Bound:
         """Root of the summed variances of east and north, shape (T,), m: the least RMSE at each time."""
         return np.asarray(np.sqrt(self.covariance[:, 0, 0] + self.covariance[:, 2, 2]))
 
-    def horizontal_rmse_m(self, until_s: float = np.inf) -> float:
-        """Return the least horizontal RMSE over the flight up to a time, m."""
-        part = self.times_s <= until_s
-        return float(np.sqrt(np.mean(self.horizontal_sigma_m[part] ** 2)))
+    def horizontal_rmse_m(self) -> float:
+        """Return the least horizontal RMSE over the flight, m."""
+        return float(np.sqrt(np.mean(self.horizontal_sigma_m**2)))
 
 
 def run_bound(times_s: FloatArray, positions_m: FloatArray, denied_vehicle: int, options: BoundOptions) -> Bound:

@@ -6,7 +6,6 @@ The fakes' datagrams go through the same decoder, engine and encoder as on a wir
 from __future__ import annotations
 
 import copyreg
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from struct import Struct
 
@@ -60,7 +59,6 @@ def fly(
     *,
     duration_s: float | None = None,
     aided: bool = True,
-    progress: Callable[[float], None] = lambda _: None,
 ) -> Flight:
     """Fly a scenario against a fresh engine.
 
@@ -70,13 +68,12 @@ def fly(
         engine: a fresh engine; its service clock is the simulated time.
         duration_s: the scenario's own where None.
         aided: whether the vehicles get what the engine sends.
-        progress: called with the simulated time, s.
 
     Returns:
         The flight, sampled five times a second from the time the engine knows its frame.
     """
     loop = ClosedLoop(scenario, seed, engine, aided=aided)
-    loop.advance(duration_s if duration_s is not None else scenario.duration_s, progress)
+    loop.advance(duration_s if duration_s is not None else scenario.duration_s)
     return loop.flight
 
 
@@ -95,8 +92,8 @@ class ClosedLoop:
         self._step = 0
         engine.receive(ClockReference(0.0, _UNIX_EPOCH_S))
 
-    def advance(self, to_s: float, progress: Callable[[float], None] = lambda _: None) -> None:
-        """Fly until a simulated time (s), that one included; `progress` is called with the time of each sample."""
+    def advance(self, to_s: float) -> None:
+        """Fly until a simulated time (s), that one included."""
         every = round(_SAMPLE_S / STEP_S)
         for step in range(self._step, round(to_s / STEP_S) + 1):
             now_s = step * STEP_S
@@ -111,7 +108,6 @@ class ClosedLoop:
             self._poll(now_s)
             if step % every == 0:
                 _sample(self.engine, now_s, self.fleet, self.flight)
-                progress(now_s)
             self._step = step + 1
 
     def _poll(self, until_s: float) -> None:

@@ -181,8 +181,8 @@ def _imperfect(name: str, text: str, of: FlightClass = _PLANES, **changes: objec
     return replace(of, name=name, group=Group.IMPERFECT, text=text, **changes)  # type: ignore[arg-type]
 
 
-def _fault(name: str, text: str, of: FlightClass = _PLANES, **changes: object) -> FlightClass:
-    return replace(of, name=name, group=Group.FAULT, text=text, **changes)  # type: ignore[arg-type]
+def _fault(name: str, text: str, **changes: object) -> FlightClass:
+    return replace(_PLANES, name=name, group=Group.FAULT, text=text, **changes)  # type: ignore[arg-type]
 
 
 _ALL = (

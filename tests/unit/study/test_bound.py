@@ -48,10 +48,10 @@ def test_less_noise_never_makes_the_bound_larger() -> None:
     assert tight.horizontal_rmse_m() < loose.horizontal_rmse_m()
 
 
-def test_a_part_of_the_flight_counts_only_that_part() -> None:
+def test_the_whole_flight_counts_from_the_uncertainty_of_its_start_on() -> None:
     bound = run_bound(TIMES, POSITIONS, 3, BoundOptions())
 
-    assert bound.horizontal_rmse_m(until_s=0.0) == pytest.approx(np.sqrt(2) * 15.0)
+    assert bound.horizontal_sigma_m[0] == pytest.approx(np.sqrt(2) * 15.0)
     assert bound.horizontal_rmse_m() == pytest.approx(np.sqrt(np.mean(bound.horizontal_sigma_m**2)))
 
 
