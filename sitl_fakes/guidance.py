@@ -18,6 +18,8 @@ from sitl_fakes.dynamics import LateralAircraft, turn_radius_m
 
 _INTEGRATE_BELOW_RAD = 0.35  # chosen: in a turn the integral would wind up
 _LONGEST_STEP_S = 0.02  # the actuators' time constant is 0.05 s
+_TIME_CONSTANT_S = 8.0  # a small error off the track dies out with it
+_INTEGRAL_TIME_S = 30.0  # chosen: long beside the time constant
 
 
 Point = tuple[float, float]
@@ -123,25 +125,18 @@ class Route:
 class Guidance:
     """The guidance law along a route, with its integral and its place on the route.
 
-    psi_cmd = psi_track + clamp(Kp dZ + Ki integral(dZ), -pi/2, +pi/2). Kp is 1 / (speed x `time_constant_s`), so that a small
-    error dies out with that time constant; Ki is Kp / `integral_time_s`. The integral stands still far
+    psi_cmd = psi_track + clamp(Kp dZ + Ki integral(dZ), -pi/2, +pi/2). Kp is 1 / (speed x time constant), so that a small
+    error dies out with that time constant; Ki is Kp / integral time. The integral stands still far
     from the track (it would only wind up) and starts anew on each leg. A waypoint is reached within `waypoint_radius_m` or on
     passing abeam.
     """
 
-    def __init__(
-        self,
-        route: Route,
-        speed_mps: float,
-        waypoint_radius_m: float,
-        time_constant_s: float = 8.0,
-        integral_time_s: float = 30.0,
-    ) -> None:
+    def __init__(self, route: Route, speed_mps: float, waypoint_radius_m: float) -> None:
         self.route = route
         self.leg_index = 0
         self._radius = waypoint_radius_m
-        self._kp = 1.0 / (speed_mps * time_constant_s)
-        self._ki = self._kp / integral_time_s
+        self._kp = 1.0 / (speed_mps * _TIME_CONSTANT_S)
+        self._ki = self._kp / _INTEGRAL_TIME_S
         self._integral = 0.0
 
     def course_command_rad(self, at: Point, step_s: float) -> float:
@@ -207,11 +202,10 @@ def fly_routes(
     end_of_route: EndOfRoute = EndOfRoute.STRAIGHT,
     wind_east_mps: float = 0.0,
     wind_north_mps: float = 0.0,
-    waypoint_radius_m: float | None = None,
 ) -> NominalFlight:
     """Fly each route from its first waypoint, heading along its first leg; sample 0 is the start, sample k is k steps later.
 
-    `waypoint_radius_m` defaults to the radius of the tightest turn. The wind is constant and blows towards east and north.
+    A waypoint is reached within the radius of the tightest turn. The wind is constant and blows towards east and north.
     `step_s` is the guidance's and the samples' step; the aircraft itself is integrated in steps of at most 0.02 s.
     """
     steps = round(duration_s / step_s)
@@ -220,7 +214,7 @@ def fly_routes(
     legs = np.empty((len(routes), steps + 1), dtype=np.int64)
     for v, waypoints in enumerate(routes):
         route = Route(waypoints, end_of_route)
-        guidance = Guidance(route, airspeed_mps, waypoint_radius_m or turn_radius_m(airspeed_mps))
+        guidance = Guidance(route, airspeed_mps, turn_radius_m(airspeed_mps))
         start = waypoints[0]
         aircraft = LateralAircraft(start[0], start[1], route.track(0).track_heading_rad(start), airspeed_mps)
         for k in range(steps + 1):
