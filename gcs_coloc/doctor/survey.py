@@ -38,7 +38,6 @@ MAX_VEHICLES = 250  # chosen: as many as the service takes
 LEAST_RANGES = 2  # chosen: one may be a stray
 _TIMESYNC_EVERY_S = 1.0  # chosen: some ten answers in a survey
 _STREAMS = {number: stream for stream, number in STREAM_IDS.items()}
-_INTEGER_KINDS = range(mavlink.MAV_PARAM_TYPE_UINT8, mavlink.MAV_PARAM_TYPE_INT32 + 1)
 
 
 @dataclass(frozen=True, slots=True)

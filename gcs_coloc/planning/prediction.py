@@ -88,8 +88,8 @@ class _Recursion:
     """The filter along the plan with some vehicles denied, step by step; `rows` are its results by denied vehicle."""
 
     def __init__(self, plan: FleetPlan, denied: tuple[int, ...], step_s: float) -> None:
-        self._plan, self._denied, self._step_s = plan, denied, step_s
-        self._begin_s, self._end_s = plan.span_s
+        self._plan, self._denied = plan, denied
+        self._begin_s, _ = plan.span_s
         self._a = a = plan.assumptions
         settings = FleetSettings()
         self._filter = FleetHypotheses(settings)

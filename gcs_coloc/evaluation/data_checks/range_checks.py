@@ -52,12 +52,11 @@ PositionShift = Callable[[int, bool], float]
 """By how many seconds later the positions of a vehicle are used, of its truth (True) or of its reports (False)."""
 
 
-def _no_shift(vehicle: int, is_truth: bool) -> float:  # noqa: ARG001 - a PositionShift
-    return 0.0
-
-
 def _shift_all(by_s: float) -> PositionShift:
     return lambda _vehicle, _is_truth: by_s
+
+
+_NO_SHIFT = _shift_all(0.0)
 
 
 def check_ranges(data: RecordedData, *, trust_truth: bool) -> Iterator[DataFinding]:
@@ -116,7 +115,7 @@ class RangePair:
     from_truth: Mask
     data: RecordedData
 
-    def positions(self, side: int, shift: PositionShift = _no_shift) -> FloatArray:
+    def positions(self, side: int, shift: PositionShift = _NO_SHIFT) -> FloatArray:
         """Return the positions (N, 3) of one end at the times of the ranges, shifted; NaN where unknown."""
         vehicle = self.ends[side]
         positions = np.full((len(self.rows), 3), np.nan)
@@ -214,7 +213,7 @@ class _RangeSet:
         self.sigma_m = float(np.median([pair.sigma_m() for pair in pairs]))
         self.residual_m = median_residual_m(self.range_m - self.distances_m)
 
-    def _ends(self, shift: PositionShift = _no_shift) -> FloatArray:
+    def _ends(self, shift: PositionShift = _NO_SHIFT) -> FloatArray:
         sides = [np.concatenate([pair.positions(side, shift) for pair in self.pairs]) for side in (0, 1)]
         return np.stack(sides, axis=1)
 
