@@ -81,4 +81,4 @@ def test_that_both_say_there_is_no_fix_shows_nothing():
 
 def test_the_first_receiver_is_watched_where_it_is_the_one_we_feed():
     ((_, _, text),) = run(FixAcknowledgement(0, 0.0), 0.0, 10.0, FIX, None)
-    assert "no GPS_RAW_INT is heard from it; are GPS1_TYPE=14, gps_id=0" in text
+    assert "no GPS_RAW_INT is heard from it; gcs-coloc doctor names the settings" in text
