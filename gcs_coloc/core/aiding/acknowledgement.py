@@ -70,7 +70,7 @@ class Acknowledgement(ABC):
             if self._alarmed:
                 return None
             self._alarmed = True
-            return "error", f"{self._what} is not taken: {fault}; {DOCTOR_NAMES_SETTINGS}"
+            return "error", f"{self._what} is not taken ({DOCTOR_NAMES_SETTINGS}): {fault}"
         self._wrong_since_s, self.fault = None, None
         # A vehicle that reports no fix as we do has shown nothing yet.
         shown = self._is_shown(vehicle, now_s)

@@ -25,7 +25,7 @@ class InhibitReason(WordedReason):
         "unknown_autopilot",
         "its autopilot is neither ArduPilot nor PX4: set its aiding method where you have tried one",
     )
-    PX4_TAKES_NO_METHOD = "px4_takes_no_method", f"its EKF2 takes no position: {DOCTOR_NAMES_SETTINGS}"
+    PX4_TAKES_NO_METHOD = "px4_takes_no_method", f"its EKF2 takes no position; {DOCTOR_NAMES_SETTINGS}"
     PX4_METHOD_UNKNOWN = "px4_method_unknown", "it has not told yet which positions its EKF2 takes"
     PX4_RESETS_BY_EXTERNAL_POSITION = (
         "px4_resets_by_external_position",

@@ -45,7 +45,7 @@ class FixCheck:
     """A finding, and the horizontal distance of the fix from where ranges put the vehicle (m), None where that is unknown.
 
     `known_m`: horizontal 1-sigma of the best reference that agrees with the fix, m; infinity where there is none.
-    `ranges_know_m`: that of the ranges of the present epoch, where they agree with it.
+    `ranges_know_m`: that of the present epoch's ranges alone, where neither they nor the estimate speak against the fix.
     `ranged`: there were ranges to test it against. `fits_now`: the ranges of the present epoch alone fit it.
     """
 

@@ -90,7 +90,7 @@ def test_it_is_sent_what_its_parameters_show_that_it_takes_and_else_nothing(told
     assert {type(o) for _, o in of(lost(engine), AidingMessage)} == sent
     inhibit = vehicle_4(engine, 10.0).inhibit_reason
     assert (inhibit is None) is bool(sent)
-    assert inhibit is None or "its EKF2 takes no position: gcs-coloc doctor names the settings" in inhibit
+    assert inhibit is None or "its EKF2 takes no position; gcs-coloc doctor names the settings" in inhibit
 
 
 ERROR = "needs aid and cannot be aided"
@@ -217,14 +217,14 @@ def test_without_ranges_nothing_is_taken_for_forgotten():
     [
         # As flown with PX4 of August 2026: (bit 512, bit 256) of ESTIMATOR_STATUS.
         (AGP, (True, True), True, None),  # 895
-        (AGP, (False, True), False, "no global position from GNSS or aid; gcs-coloc doctor names the settings"),  # 383
+        (AGP, (False, True), False, "(gcs-coloc doctor names the settings): its EKF2 reports no"),  # 383
         (AGP, None, None, None),
         ({"EKF2_EV_CTRL": 1.0}, (False, True), True, None),  # 383
         (
             {"EKF2_EV_CTRL": 1.0},
             (False, False),
             False,
-            "no horizontal aid, though a vision position is sent; gcs-coloc doctor names the settings",
+            "no horizontal aid, though a vision position is sent",
         ),  # 127
     ],
 )
