@@ -15,9 +15,7 @@ from gcs_coloc.core.stations.node_id import node_name
 
 _MOST_DETERMINED_HDOP = 30.0  # from 46 on positions in turns were off by ten times their bound, up to 27 never beyond it
 _WEARS_OFF = 3.0  # chosen: a moment that seems determined by chance takes back three times its length
-_CLEAR_SHARE = 0.5
-"""Chosen: a protection level of so much of the alert limit does not swing about it."""
-_CLEAR_AFTER_S = 1.0
+_CERTAIN_AFTER_S = 1.0
 """Chosen: a copter's EKF3 gives up 7 to 10 s after its last fix (posRetryTimeNoVel_ms): each second after a gap counts."""
 _LONGEST_STEP_S = 1.0  # chosen: a host that stood still has not seen more
 
@@ -73,7 +71,7 @@ class FixPolicy:
             return fault
         if self._sound_since_s is None:
             self._sound_since_s = now_s
-        regain_s = self._regain_after_s(answer)
+        regain_s = self._regain_after_s()
         if self._lost and now_s - self._sound_since_s < regain_s:
             return StatedReason(InhibitReason.REGAINING, limit=regain_s)
         self._lost, self._only_too_uncertain, self._had_fix = False, True, True
@@ -83,11 +81,10 @@ class FixPolicy:
         """Return for how long a fix may still be stated without a range, s."""
         return self._settings.prediction_s - (now_s - self._ranged_at_s)
 
-    def _regain_after_s(self, answer: Estimate) -> float:
-        """Return for how long a lost fix must be sound: less where it was too uncertain, as in a gap, and clearly is no more."""
-        level, after_s = answer.protection, self._settings.regain_after_s
-        is_clear = level is not None and level.horizontal_m <= _CLEAR_SHARE * self._settings.alert_limit_m
-        return min(after_s, _CLEAR_AFTER_S) if self._only_too_uncertain and is_clear else after_s
+    def _regain_after_s(self) -> float:
+        """Return for how long a lost fix must be sound: less where all that it lacked was certainty, as in a gap."""
+        after_s = self._settings.regain_after_s
+        return min(after_s, _CERTAIN_AFTER_S) if self._only_too_uncertain else after_s
 
     def _update_geometry(self, now_s: float, *, is_determined: bool) -> None:
         """Count how long the ranges have not fixed its place; in the noise of a moment they may seem to, so that wears off."""

@@ -41,8 +41,8 @@ class AidingSettings:
     """`true`: no fix is sent while the ranges cannot test the receiver of every peer, as with one or two peers.
     `false`: it is sent, and the page names the peers that must be right."""
     regain_after_s: float = between(3.0, 0.0)
-    """A lost fix comes back only after it has been sound for this long; after a second where it was only too uncertain and its
-    protection level is within half of the alert limit. Chosen: against a fix that flickers."""
+    """A lost fix comes back only after it has been sound for this long; after at most a second where it was only too uncertain.
+    Chosen: against a fix that flickers."""
     prediction_s: float = positive(10.0)
     """No fix is sent without a range in use for longer than this, however small the bound. The same holds where ranges to
     one peer, or along one line (HDOP above 30), do not fix the position and no airspeed and bank angle tell the motion."""
