@@ -143,7 +143,7 @@ class VehicleArrays:
     reported_enu_m: FloatArray
     """(T, 3) the position that the vehicle itself reports, in the same frame, m."""
     gps_state: NDArray[np.str_]
-    """(T,) state of its GPS in the service's words, as `ok` or `failed`."""
+    """(T,) state of its GPS in the service's words, as `healthy` or `failed`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,10 @@ if TYPE_CHECKING:
 
 
 class FlightRecording:
-    """Passes the flight of one engine to a recorder. Every call returns at once; without a recorder it does nothing."""
+    """The recording of one engine's flight, passed on to a recorder.
+
+    A call that records returns at once. Where no directory is set, every call does nothing.
+    """
 
     def __init__(self, wanted: RecordConfig, ids: MavlinkConfig, engine: Engine) -> None:
         """Prepare the recording; no file is created before `open`.
@@ -74,7 +77,10 @@ class FlightRecording:
             self._recorder.add_frame(at_s, frame)
 
     def record_forwarded(self, at_s: float, raw: RawFrame) -> None:
-        """Record a ground tool's frame that went on to a vehicle, at the engine's time. The engine never received it."""
+        """Record a ground tool's frame that was forwarded to a vehicle.
+
+        `at_s` is the engine's time. The engine itself never received the frame.
+        """
         if self._recorder is None:
             return
         sender = (raw.sysid, raw.compid)

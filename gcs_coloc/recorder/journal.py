@@ -1,6 +1,7 @@
-"""The journal of a flight: each vehicle, new residuals, changes of GPS state and notices, at the engine's deadlines.
+"""The journal of a flight: vehicles, stations, residuals, changes of GPS state and notices.
 
-It follows from the deadlines alone, so that a replay makes the same journal to the last bit.
+Its entries are made at the engine's deadlines. It follows from the deadlines alone, so that a replay makes the same journal to
+the last bit.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Log segments: a tlog and an MCAP file side by side, which can be opened after a crash; the oldest make room for new ones."""
+"""Log segments: a tlog and an MCAP file side by side, which can be opened after a crash.
+
+The oldest are deleted to make room for new ones.
+"""
 
 from __future__ import annotations
 
@@ -33,14 +36,20 @@ class LogSegment:
         return self._tlog.size + self._mcap.size
 
     def write(self, records: bytes, entries: list[Entry]) -> None:
-        """Write records of the tlog and entries of the journal to the system; from then on they outlive this process."""
+        """Write records to the tlog and entries to the MCAP file.
+
+        From then on they outlive this process, but not yet a loss of power.
+        """
         self._tlog.append(records)
         for entry in entries:
             self._encoder.add(entry)
         self._mcap.append(self._encoder.pop())
 
     def sync(self) -> None:
-        """Sync both files to the disk; from then on they outlive a loss of power. OSError where a file was deleted."""
+        """Sync both files to the disk, so that they outlive a loss of power.
+
+        Raises OSError where a file was deleted.
+        """
         self._tlog.sync()
         self._mcap.sync()
 
@@ -58,7 +67,10 @@ class LogSegment:
 
 
 def delete_oldest(directory: Path, most_bytes: int) -> None:
-    """Delete the oldest segments until the rest takes `most_bytes`. One that was written to a moment ago is not touched."""
+    """Delete the oldest recorded files until the rest takes at most `most_bytes`.
+
+    A file that was written to in the last minute is not touched.
+    """
     files = [path for path in directory.glob("gcs-coloc-*") if path.suffix in (".tlog", ".mcap")]
     found = {path: path.stat() for path in files}
     total = sum(about.st_size for about in found.values())

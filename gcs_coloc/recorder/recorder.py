@@ -1,4 +1,7 @@
-"""The recorder: callers queue, a thread writes. A slow or full disk costs recording and never delays the flight."""
+"""The recorder: callers queue what is to be recorded, and a thread writes it.
+
+A slow or full disk costs recording and never delays the flight.
+"""
 
 from __future__ import annotations
 
@@ -104,7 +107,10 @@ class Recorder:
         self._put(entry)
 
     def pending_warning(self) -> tuple[str, str] | None:
-        """Level and text for the operator if the recording has failed, recovered or lost frames since the last call."""
+        """Return level and text of a warning about the recording; None where there is nothing new.
+
+        It warns if the recording has failed, recovered or lost frames since the last call.
+        """
         lost, fault = self.counts.get(Refusal.NOT_RECORDED, 0), self._fault
         if self._thread is not None and time.monotonic() - self._turned_at_s > _SILENT_S:
             fault = f"{self._directory}: the disk has not answered for {_SILENT_S:g} s"
@@ -265,7 +271,10 @@ class Recorder:
 
 
 def _lasting_key(record: SideChannelRecord) -> tuple[object, ...] | None:
-    """The key of a record that holds until another of its key replaces it; None where it concerns a moment."""
+    """Return the key of a record that every new segment repeats; None for any other record.
+
+    Such a record holds until another of its key replaces it. Any other concerns a moment.
+    """
     match record:
         case OperatorCommand():
             return type(record.override), record.sysid

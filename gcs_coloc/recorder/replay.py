@@ -1,4 +1,6 @@
-"""A replay: a recorded flight through the same engine on recorded time, deterministic, as fast as possible unless paced.
+"""A replay: a recorded flight goes through the same engine on recorded time.
+
+It is deterministic, and as fast as possible unless it is paced.
 
 The service's clock is the recording's: UNIX seconds of arrival. Ranges that the recording's frames do not carry come from
 a table beside it. Nothing is sent anywhere.
@@ -145,9 +147,10 @@ def replay(
 
 @dataclass(slots=True)
 class ReplayCounts:
-    """Counts of a replay: times of the first and last record (UNIX s), frames in the file, messages for the core.
+    """Counts of a replay.
 
-    `wire` counts what the decoder refused, by reason.
+    `first_s` and `last_s` are the times of the first and last record (UNIX s). `records` counts the records of the file,
+    `messages` those that the engine received. `wire` counts what the decoder refused, by reason.
     """
 
     first_s: float = 0.0
@@ -158,7 +161,9 @@ class ReplayCounts:
 
 
 class RecordedMessages:
-    """The messages of one recording. `truths` are the true positions that a simulation sent, up to the last message.
+    """The messages of one recording, and the true positions that a simulation sent.
+
+    `truths` holds the true positions up to the last message, by system id.
 
     Args:
         log: the recording's frames, in order.
@@ -186,7 +191,9 @@ class RecordedMessages:
         self._next_range = 0
 
     def next(self) -> Inbound | Overrun | None:
-        """The next message; None at the end. A range of the table comes after the messages that arrived at the same time.
+        """Return the next message; None at the end.
+
+        A range of the table comes after the messages that arrived at the same time.
 
         Raises:
             DataError: the recording cannot be read or is none.

@@ -1,4 +1,6 @@
-"""Side-channel records: what the engine received besides the vehicles' frames, in the tlog, so that a replay repeats it.
+"""Side-channel records: what the engine received besides the vehicles' frames.
+
+They are written to the tlog, so that a replay repeats what the engine received.
 
 Operator overrides, routes, the host's UTC, foreign GPS_INPUT, ranges from gateways, overruns, settings, and whether a hot
 standby holds it back are in no frame.
@@ -61,7 +63,10 @@ _TIME_BASES = tuple(TimeBase)
 
 @dataclass(frozen=True, slots=True)
 class GroundTool:
-    """From now on frames of this system and component are a ground tool's; the engine does not receive them."""
+    """A mark that frames of this system and component come from a ground tool from now on.
+
+    The engine does not receive them.
+    """
 
     sysid: int
     compid: int
@@ -92,7 +97,10 @@ SideChannelRecord = (
 
 @dataclass(frozen=True, slots=True)
 class ReadRecord:
-    """A record as read, None for the mark at the beginning of a segment. `repeated`: copied from an earlier segment."""
+    """A record as read from a tlog.
+
+    `record` is None for the mark at the beginning of a segment. `repeated`: it was copied from an earlier segment.
+    """
 
     record: SideChannelRecord | None
     repeated: bool

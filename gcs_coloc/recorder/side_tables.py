@@ -47,7 +47,9 @@ class TruthTable:
 
 
 def read_ranges(path: Path) -> list[PeerRange]:
-    """The ranges of a table `unix_s,from_sysid,to_sysid,range_m,sigma_m` in order of time. `unix_s` is the measuring time.
+    """Return the ranges of a table, in order of time.
+
+    Its columns are `unix_s,from_sysid,to_sysid,range_m,sigma_m`. `unix_s` is the time of measurement; `sigma_m` may be left out.
 
     Raises:
         DataError: as `read_table`, or a value is impossible.

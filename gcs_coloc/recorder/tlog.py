@@ -1,4 +1,7 @@
-"""tlog, the recording format of ground stations: the time in microseconds since 1970 (8 bytes, big-endian), then the frame."""
+"""The tlog, the recording format of ground stations.
+
+A record is the time in microseconds since 1970 (8 bytes, big-endian) and then the frame.
+"""
 
 from __future__ import annotations
 
@@ -72,7 +75,10 @@ def tlog_record(at_s: float, frame: bytes) -> bytes:
 
 
 def without_signature(frame: bytes) -> bytes | None:
-    """The frame without its signature, with a new checksum; None where the message, and so its checksum, is unknown."""
+    """Return the frame without its signature, with a new checksum.
+
+    None where the message, and so its checksum, is unknown.
+    """
     if frame[0] != MAGIC_V2 or not frame[_INCOMPAT_AT] & INCOMPAT_SIGNED:
         return frame
     crc_extra = CRC_EXTRA.get(message_id(frame))
@@ -174,7 +180,10 @@ def _is_time(data: mmap.mmap, position: int) -> bool:
 
 
 def _other_kind(data: mmap.mmap) -> str | None:
-    """The kind of a file that does not begin with a record, and the remedy; None where it may be a damaged tlog."""
+    """Return what a file is that does not begin with a record, and the remedy.
+
+    None where it may be a damaged tlog.
+    """
     for beginning, words in _OTHERS.items():
         if data[: len(beginning)] == beginning:
             return words

@@ -27,7 +27,10 @@ TABLES: dict[str, tuple[str, str]] = {
 
 
 class FlightTables:
-    """The tables of one flight, in files beside each other named after `base`. They are opened with their first row, or empty."""
+    """The tables of one flight, in files beside each other that are named after `base`.
+
+    The files are opened with the first row. A flight without rows leaves empty tables.
+    """
 
     def __init__(self, base: Path, suffixes: Sequence[str]) -> None:
         """Find the writers.
@@ -72,7 +75,9 @@ def _table_of(suffix: str) -> Callable[[Path], VehicleTable]:
 
 
 def write_all(history: FlightHistory, base: Path) -> list[Path]:
-    """Write a flight in every one of `FORMATS`, to files beside each other named after `base`; return the files.
+    """Write a flight to one file for each of `FORMATS`, and return the files.
+
+    They lie beside each other and are named after `base`.
 
     Raises:
         OSError: a file cannot be written.

@@ -1,4 +1,6 @@
-"""Entries of the journal as messages of Foxglove's well-known schemas, which Foxglove and Lichtblick draw by themselves.
+"""Entries of the journal as messages of Foxglove's well-known schemas.
+
+Foxglove and Lichtblick draw such messages by themselves.
 
 Schemas: https://github.com/foxglove/foxglove-sdk, schemas/jsonschema; copies of the three in use are in `foxglove_schemas`.
 """
@@ -48,7 +50,10 @@ def well_known_schema(name: str) -> bytes:
 
 
 class FoxgloveMessages:
-    """Makes messages of well-known schemas from entries. It remembers where each vehicle was last, for the lines of ranges."""
+    """Converter of entries to messages of well-known schemas.
+
+    It remembers where each vehicle was last, as the line of a range needs both ends.
+    """
 
     def __init__(self) -> None:
         self._enu_m: dict[int, tuple[float, float, float]] = {}

@@ -25,7 +25,10 @@ _ELLIPSE_SIGMAS = 2.0
 
 
 def write_geojson(history: FlightHistory, path: Path) -> None:
-    """Write the tracks, the stations and, while a vehicle is located without its GPS, a 2-sigma ellipse each second."""
+    """Write the tracks, the stations and the 2-sigma ellipses of a flight as GeoJSON.
+
+    A vehicle that is located without its GPS has an ellipse each second.
+    """
     features = [_feature(kind, coordinates, properties) for kind, coordinates, properties in map_shapes(history)]
     features += [_feature("Point", place, properties) for place, properties in station_points(history)]
     path.write_text(json.dumps({"type": "FeatureCollection", "features": features}, allow_nan=False), encoding="utf-8")
@@ -50,7 +53,10 @@ def map_shapes(history: FlightHistory) -> Iterator[tuple[str, Any, dict[str, Any
 
 
 def station_points(history: FlightHistory) -> Iterator[tuple[tuple[float, float, float], dict[str, Any]]]:
-    """The fixed stations whose place is known: longitude, latitude, height above mean sea level, and the properties."""
+    """Yield position and properties of each fixed station whose position is known.
+
+    The position is longitude and latitude (degrees) and height above mean sea level (m).
+    """
     for _, station in sorted(history.stations.items(), reverse=True):
         if station.lat_deg is not None and station.lon_deg is not None and station.alt_msl_m is not None:
             properties = {
@@ -101,7 +107,10 @@ def _point(vehicle: VehicleSnapshot) -> tuple[float, float, float]:
 
 
 def ellipse_ring(vehicle: VehicleSnapshot) -> list[tuple[float, float]] | None:
-    """The 2-sigma ellipse: 25 corners (latitude, longitude) in degrees, the last the first; None where there is no estimate."""
+    """Return the 2-sigma ellipse of a vehicle's position; None where there is no estimate.
+
+    It has 25 corners (latitude, longitude) in degrees, and ends with the first of them.
+    """
     if vehicle.covariance_h_m2 is None or vehicle.lat_deg is None or vehicle.lon_deg is None or vehicle.alt_msl_m is None:
         return None
     major_m, minor_m, angle_rad = error_ellipse(*vehicle.covariance_h_m2)

@@ -1,4 +1,7 @@
-"""A flight as KML 2.2 (OGC 07-147r2) with the tracks of its gx extension, which Google Earth plays over time."""
+"""A flight as KML 2.2 (OGC 07-147r2), which Google Earth plays over time.
+
+The tracks are those of Google's gx extension.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,10 @@ _COLOURS = {True: "ff005ed5", False: "ffb27200"}  # KML: alpha, blue, green, red
 
 
 def write_kml(history: FlightHistory, path: Path) -> None:
-    """Write the tracks with their times, the stations and, of vehicles located without GPS, a 2-sigma ellipse each second."""
+    """Write the tracks with their times, the stations and the 2-sigma ellipses as KML.
+
+    A vehicle that is located without its GPS has an ellipse each second.
+    """
     ElementTree.register_namespace("", _KML)
     ElementTree.register_namespace("gx", _GX)
     root = ElementTree.Element(f"{{{_KML}}}kml")

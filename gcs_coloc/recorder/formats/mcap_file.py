@@ -36,7 +36,10 @@ class McapEncoder:
         self._channels: dict[str, int] = {}
 
     def add(self, entry: Entry) -> None:
-        """Add one entry at its own time: as ours on /vehicle/N, /station, /range, /health, /notice, /alarm; and as Foxglove's."""
+        """Add one entry at its own time, as a message of ours and as messages of Foxglove's.
+
+        Our topics are /vehicle/N, /station, /range, /health, /notice and /alarm.
+        """
         kind, time_ns = type(entry), round(entry.at_s * 1e6) * 1000
         topic = f"/vehicle/{entry.vehicle.sysid}" if isinstance(entry, VehicleEntry) else f"/{NAMES[kind]}"
         self._add_message(topic, self._schemas[kind], time_ns, as_json(entry))
@@ -50,7 +53,10 @@ class McapEncoder:
         self._writer.add_message(channel, time_ns, data, time_ns)
 
     def pop(self) -> bytes:
-        """The bytes of what was added since the last call. Each call makes a chunk, which costs as much as two entries."""
+        """Return the bytes of what was added since the last call.
+
+        Each call makes a chunk, which costs as much as two entries.
+        """
         self._writer.flush()  # type: ignore[no-untyped-call]
         return self._sink.pop()
 

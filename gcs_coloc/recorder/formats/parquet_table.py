@@ -1,4 +1,6 @@
-"""The table of vehicles as Parquet, for pandas, Polars, DuckDB and Spark: typed columns, null where a value is unknown.
+"""The table of vehicles as Parquet, for pandas, Polars, DuckDB and Spark.
+
+The columns are typed, and a cell is null where a value is unknown.
 
 Needs pyarrow, the extra `parquet`.
 """

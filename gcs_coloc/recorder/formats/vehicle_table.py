@@ -1,4 +1,7 @@
-"""A flight as a table: a row for each vehicle at each deadline of the engine; the columns of CSV and Parquet."""
+"""A flight as a table of its vehicles: the columns that CSV and Parquet share.
+
+The table has a row for each vehicle in each snapshot of the fleet.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The comparison of judged flights with a baseline: better, worse, or changed so that a person has to look."""
+"""The comparison of judged flights with a baseline.
+
+A figure is better, worse, or changed so that a person has to look.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +43,10 @@ class Good(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class FigureKind:
-    """One figure: what it is about, in words, which direction is good; a share of one, or else metres, seconds, times."""
+    """One figure that is compared: its aspect, its name in words, and which direction is good.
+
+    `is_share`: it is a share of one. Otherwise it is in metres or seconds, or it counts.
+    """
 
     aspect: Aspect
     text: str

@@ -1,4 +1,7 @@
-"""A run that judges recordings: each result is written at once, so that a run that was stopped goes on where it was."""
+"""A run that judges recordings, and the baselines for later comparisons.
+
+Each result is written at once, so that a run that was stopped goes on where it was.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +44,9 @@ def judged_with(settings: Settings) -> dict[str, str]:
 def judge(
     settings: Settings, recordings: Sequence[FoundRecording], out: Path, workers: Workers, done: Done
 ) -> list[JudgedFlight]:
-    """Judge what is not in the directory `out` yet by the same program with the same settings, and return all, by name.
+    """Judge the recordings without a result in the directory `out`, and return all results.
+
+    A result of another program, of other settings or of a changed file does not count.
 
     Raises:
         ClusterError, TaskError: the tasks cannot be done.

@@ -35,8 +35,9 @@ Figures = dict[str, float | None]
 
 @dataclass(frozen=True, slots=True)
 class JudgedFlight:
-    """One recording's figures by vehicle (system id as text, or `FLEET`). `error` says why it could not be read, else is empty.
+    """The figures of one recording, by vehicle.
 
+    `vehicles` is by system id as text, or `FLEET`. `error` says why the recording could not be read; it is empty where it could.
     `duration_s` is from the first frame to the last, `has_truth` whether positions were scored.
     """
 
@@ -50,7 +51,10 @@ class JudgedFlight:
 
 @dataclass(frozen=True, slots=True)
 class JudgedBy:
-    """What replays: the estimator with its settings, the engine's settings, our own ids; all of it can be sent to a process."""
+    """What replays a recording: the estimator, the engine's settings and our own ids.
+
+    All of it can be sent to another process. `own` is our system and component id.
+    """
 
     estimator: str
     estimator_settings: Mapping[str, Any]

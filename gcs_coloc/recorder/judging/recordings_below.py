@@ -1,4 +1,4 @@
-"""The recordings below directories, each with the tables that belong to it and a digest of what is in them."""
+"""The recordings below directories, with their tables and a digest of their content."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from gcs_coloc.core.errors import DataError, UsageError
 
 @dataclass(frozen=True, slots=True)
 class FoundRecording:
-    """One recording. `name` is the same wherever its directory lies: that directory's name, and the path below it.
+    """One recording, with the tables beside it.
 
-    `file`, `ranges` and `truth` are absolute. `digest` is of the bytes of all three.
+    `name` is the name of the directory that was searched and the path below it, so that it is the same wherever that directory
+    lies. `file`, `ranges` and `truth` are absolute. `digest` is of the bytes of all three.
     """
 
     name: str

@@ -1,4 +1,6 @@
-"""The report of a replayed flight: GPS failures, messages sent, scores while a vehicle was denied, data-quality findings.
+"""The report of a replayed flight: GPS failures, messages sent, scores and findings.
+
+The scores are those of denied vehicles. The findings are about the quality of the recorded data.
 
 A position is scored at each true one, with what had arrived by then, as long as the vehicle's own GPS is not trusted.
 """
@@ -61,7 +63,10 @@ class _Vehicle:
 
 
 class FlightReport:
-    """Collects a report during a replay, from `add_outputs` and `observe`. `truth` is what it scores against."""
+    """The report of one flight, collected during its replay.
+
+    `add_outputs` and `observe` collect it. `truth` is what it scores against.
+    """
 
     def __init__(self, engine: Engine, truth: list[TruthPoint]) -> None:
         self._engine = engine
@@ -98,13 +103,16 @@ class FlightReport:
                 vehicle.no_fixes += 1
 
     def observe(self, at_s: float) -> None:
-        """VehicleScore every true position of this time."""
+        """Score every true position up to this time (UNIX s) that has not been scored yet."""
         while self._next < len(self._truth) and self._truth[self._next].unix_s <= at_s:
             self._score(self._truth[self._next])
             self._next += 1
 
     def score(self, sysid: int) -> VehicleScore | None:
-        """The score of one vehicle, in two dimensions; None where its GPS was trusted throughout or there is no truth of it."""
+        """Return the score of one vehicle in two dimensions; None where it was not scored.
+
+        A vehicle is scored at each of its true positions while its GPS is not trusted.
+        """
         vehicle = self._vehicles.get(sysid)
         if vehicle is None or not vehicle.epochs:
             return None
@@ -112,7 +120,10 @@ class FlightReport:
         return score(series_of(np.array(times_s), np.array(truth_enu_m), answers), times_s[0], dims=2)
 
     def beyond_protection_level(self, sysid: int) -> float | None:
-        """The share of a vehicle's scored estimates whose horizontal error is beyond their protection level; None without any."""
+        """Return the share of a vehicle's estimates whose error is beyond their protection level.
+
+        Error and protection level are horizontal. Scored estimates with a level count; None where there are none.
+        """
         beyond = [
             np.hypot(*np.subtract(answer.position_enu_m[:2], true_enu_m[:2])) > answer.protection.horizontal_m
             for _, true_enu_m, answer in self._of(sysid).epochs
@@ -156,9 +167,10 @@ class FlightReport:
 
 
 class MeasurementTap:
-    """An estimator around another one that keeps the positions and ranges passing through, for the data checks.
+    """An estimator around another one that keeps its measurements for the data checks.
 
-    It keeps two of each vehicle and pair a second at most, and the first million altogether.
+    Of the positions and ranges that pass through it keeps two a second at most for each vehicle and pair, and the first
+    million altogether.
     """
 
     def __init__(self, inner: Estimator) -> None:

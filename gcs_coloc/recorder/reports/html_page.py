@@ -1,6 +1,6 @@
-"""The parts that all reports as HTML pages share: head, tables, and pictures drawn for a light page and for a dark one.
+"""The parts that all HTML reports share: head, tables and pictures.
 
-A page loads nothing: pictures are PNG in data URLs.
+Pictures are drawn for a light page and for a dark one. A page loads nothing: pictures are PNG in data URLs.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""The plots of a flight's report, as PNG in data URLs: the map, and each vehicle that was denied, over time.
+"""The plots of a flight's report: the map, and each denied vehicle over time.
 
-Each is drawn twice, for a light page and for a dark one.
+They are PNG in data URLs. Each is drawn twice, for a light page and for a dark one.
 """
 
 from __future__ import annotations
@@ -17,7 +17,10 @@ _NIS_TICKS = (0.0, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 1e3, 1e4, 1e5, 1e6)
 
 
 def map_picture(history: FlightHistory) -> PlotImage | None:
-    """The tracks in the fleet's frame, those without GPS in another colour; None where no vehicle was located."""
+    """Draw the tracks in the fleet's frame; None where no vehicle was located.
+
+    Those without GPS have another colour.
+    """
     located = {sysid: [e for e in track if e.vehicle.lat_deg is not None] for sysid, track in history.tracks.items()}
     frame = history.frame
     if frame is None or not any(located.values()):
@@ -26,7 +29,10 @@ def map_picture(history: FlightHistory) -> PlotImage | None:
 
 
 def vehicle_picture(history: FlightHistory, track: Sequence[VehicleEntry]) -> PlotImage:
-    """One vehicle over time: 95 % bound and 1-sigma, HDOP and ranges in use, NIS with its band; shaded where it had no GPS."""
+    """Draw one vehicle over time: its bounds, HDOP, ranges in use and NIS.
+
+    The bounds are the protection level, the 95 % bound and one sigma. The NIS has its 95 % band. Times without GPS are shaded.
+    """
     return in_both_inks(lambda figure, ink: _draw_vehicle(figure, ink, history, track))
 
 

@@ -1,4 +1,7 @@
-"""The report of a flight as one HTML page that loads nothing: GPS failures, accuracy, refused messages, plots."""
+"""The report of a flight as one HTML page: GPS failures, accuracy, refused messages, plots.
+
+The page loads nothing.
+"""
 
 from __future__ import annotations
 
