@@ -1,4 +1,6 @@
-"""Posterior Cramer-Rao bound along a flight: what no unbiased estimator of a vehicle can be better than.
+"""The posterior Cramer-Rao bound of a vehicle's state along its flight.
+
+No unbiased estimator can have a smaller error covariance.
 
 The bound is the information recursion of Tichavsky et al. (1998) for a constant-velocity vehicle with white acceleration, its
 measurement Jacobians taken at the true positions: J' = (F J^-1 F' + Q)^-1 + sum of h' h / r. With Jacobians that do not depend on
@@ -47,7 +49,10 @@ class BoundOptions:
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """The bound at each time: `covariance` (T, 2 d, 2 d) of [x, vx, y, vy, ...] in d dimensions, m and m/s."""
+    """The bound at each time.
+
+    `covariance` (T, 2 d, 2 d) is that of [x, vx, y, vy, ...] in d dimensions, in m and m/s.
+    """
 
     times_s: FloatArray
     covariance: FloatArray
@@ -96,10 +101,11 @@ def run_bound(times_s: FloatArray, positions_m: FloatArray, denied_vehicle: int,
 
 
 def run_scenario_bound(path: str, seed: int, options: BoundOptions) -> dict[int, Bound]:
-    """Return the bound of each vehicle that loses its GPS, by system id, from the loss to the end of the scenario.
+    """Return the bound of each vehicle that loses its GPS, by system id.
 
-    Rate and noise of the ranges and the GPS noise at the start are the scenario's; the rest is in `options`. The other
-    vehicles that lose their GPS are taken as known, so that the bound holds, if not tightly, for them too.
+    A bound goes from the loss to the end of the scenario. Rate and noise of the ranges and the GPS noise at the start are the
+    scenario's; the rest is in `options`. The other vehicles that lose their GPS are taken as known, so that the bound holds, if
+    not tightly, for them too.
 
     Raises:
         DataError: the scenario cannot be read, or nobody loses its GPS in it.

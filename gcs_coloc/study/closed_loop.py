@@ -1,4 +1,4 @@
-"""A closed loop of a simulated fleet and the engine in one process, by MAVLink bytes, on simulated time.
+"""A closed loop of a simulated fleet and the engine in one process, on simulated time.
 
 The fakes' datagrams go through the same decoder, engine and encoder as on a wire; only sockets and waiting are left out.
 """

@@ -1,4 +1,6 @@
-"""The demo: the paper's four aircraft against the service, live over loopback UDP, then the whole flight in process.
+"""The demo: the paper's four aircraft fly with the service.
+
+First they fly live over loopback UDP, then the whole flight is simulated with and without the service.
 
 `gcs-coloc study demo --out DIR` leaves `demo.png` and the logs of both processes in DIR.
 """
@@ -35,9 +37,10 @@ AIDED_SOURCE = "gps2 injected"
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """How one flight of the denied vehicle without its GPS went; metres. `rmse_m` and `hdop` are the service's, None without it.
+    """How the denied vehicle's flight went from the loss of its GPS on.
 
-    `navigation_*` is how far the autopilot's own idea of its position was off.
+    Lengths are in m. `rmse_m`, `located` (share of the time) and `hdop` are the service's; None without it. `navigation_*` is how
+    far the autopilot's own idea of its position was off.
     """
 
     off_route_rms_m: float
@@ -50,7 +53,9 @@ class Figures:
 
 
 def run_demo(out: Path, scenario_file: str, estimator: str, seed: int) -> None:
-    """Fly live for 90 s, then the whole flight in process; print a report, and leave picture and logs in `out`.
+    """Fly the demo, print its report, and leave a picture and logs in `out`.
+
+    The aircraft fly live for 90 s; then the whole flight is simulated.
 
     Raises:
         UsageError: the scenario cannot be read, or the directory cannot be made.
@@ -211,7 +216,10 @@ def _free_port() -> int:
 
 
 def draw(scenario: Scenario, denied_vehicle: int, lost_s: float, with_service: Flight, without: Flight, path: Path) -> None:
-    """Write a PNG with the tracks on the left and, on one time axis on the right, error with its 95 % bound, and HDOP."""
+    """Write a PNG of the flight: tracks on the left, errors and HDOP over time on the right.
+
+    The errors are that of the service's position, with its 95 % bound, and the distance off the route.
+    """
     import matplotlib as mpl
 
     mpl.use("Agg")

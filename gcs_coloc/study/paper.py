@@ -1,4 +1,7 @@
-"""Qu & Zhang's simulation flown again: their Table 2, other covariances, and the fleet filter on the same data."""
+"""The study of Qu & Zhang's paper: their simulation flown again, with other filters beside.
+
+It repeats their Table 2, tries other covariances, and runs the fleet filter on the same data.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +48,11 @@ class FilterScore:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One filter at one q (None for the fleet filter): over the whole flight, over its first part, and the paper's figure."""
+    """The scores of one filter at one q.
+
+    `q` is None for the fleet filter. `whole` is over the whole flight, `first` over its first part. `published_variance_m2` is
+    the paper's figure; None where it has none.
+    """
 
     filter: str
     q: float | None
@@ -57,8 +64,10 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class PaperStudy:
-    """The study's result: options, flight, rows by filter and q, series by filter at the q of the figures, and R of the general
-    filter by q, shape (Q, 2, 2), m^2.
+    """The study's result.
+
+    `rows` are by filter and q, `series` by filter at the q of the figures. `constant_r_m2` is the general filter's R by q, shape
+    (Q, 2, 2), m^2.
     """
 
     options: PaperOptions

@@ -1,4 +1,6 @@
-"""The paper's synchronous processing of one flight, for many draws of noise, values of q and kinds of filter at once.
+"""The paper's synchronous processing of one flight, by all filters at once.
+
+It runs for many draws of noise, values of q and kinds of filter.
 
 The formulas are those of `gcs_coloc.estimators`: arrays here have leading axes for q (Q) and draw (S), and for UAV4's filter one
 more for the kind (K). UAV1-3 are peers 0-2, UAV4 is the denied vehicle. Everything is measured at every step by all.
@@ -24,7 +26,10 @@ _POSITIONS = [0, 2]
 
 @dataclass(frozen=True, slots=True)
 class Draw:
-    """What the four UAVs measure on one flight: GPS (4, T, 2) m, ranges of UAV4 (3, T) m, first velocities (4, 2) m/s."""
+    """What the four UAVs measure on one flight.
+
+    `gps_m` (4, T, 2), ranges of UAV4 `ranges_m` (3, T), first velocities `start_velocity_mps` (4, 2).
+    """
 
     gps_m: FloatArray
     ranges_m: FloatArray
@@ -33,7 +38,10 @@ class Draw:
 
 @dataclass(frozen=True, slots=True)
 class FilterStep:
-    """UAV4 after one step: fixes (Q, S, 2) m, states (K, Q, S, 4), covariances (K, Q, S, 4, 4), published R (Q, S, 2, 2) m^2."""
+    """What UAV4's filters know after one step.
+
+    Fixes (Q, S, 2) in m, states (K, Q, S, 4), covariances (K, Q, S, 4, 4), and the published R (Q, S, 2, 2) in m^2.
+    """
 
     fix_m: FloatArray
     state: FloatArray
@@ -58,9 +66,10 @@ def predict(state: FloatArray, covariance: FloatArray, F: FloatArray, Q: FloatAr
 
 
 def update(state: FloatArray, covariance: FloatArray, z: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return state (..., 4) and covariance (..., 4, 4) with an observed position z (..., 2) of covariance R (..., 2, 2).
+    """Return state (..., 4) and covariance (..., 4, 4) after an observed position.
 
-    Joseph form. An observation that is not finite (peers exactly in one line) is left out.
+    The position is z (..., 2), its covariance R (..., 2, 2). Joseph form. An observation that is not finite (peers exactly in one
+    line) is left out.
     """
     finite = np.asarray(np.isfinite(z).all(axis=-1) & np.isfinite(R).all(axis=(-2, -1)))
     z = np.where(finite[..., np.newaxis], z, 0.0)
@@ -122,7 +131,10 @@ class PaperFilters:
         return FilterStep(fix, self._state, self._P, R[1])
 
     def _fix_covariances(self, centres: FloatArray, place_P: FloatArray, ranges: FloatArray) -> FloatArray:
-        """Return R (K, Q, S, 2, 2), m^2, for peers at (Q, S, 3, 2) known to (Q, 2, 2), each filter at its own prediction."""
+        """Return the covariance R (K, Q, S, 2, 2) of the fix for each filter, m^2.
+
+        The peers are at (Q, S, 3, 2) with covariance (Q, 2, 2). Each filter takes R at its own predicted position.
+        """
         sigma = self._options.range_sigma_m
         predicted = self._state[..., _POSITIONS]
         offsets = predicted[1:3, :, :, np.newaxis] - centres

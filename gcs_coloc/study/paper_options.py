@@ -9,21 +9,30 @@ from gcs_coloc.core.errors import UsageError
 
 
 class QForm(StrEnum):
-    """What the process noise of a step is: the paper's q on velocity alone, or the white acceleration of the same density."""
+    """What the process noise of a step is.
+
+    VELOCITY: the paper's q on velocity alone. ACCELERATION: white acceleration of the same density.
+    """
 
     VELOCITY = "velocity"
     ACCELERATION = "acceleration"
 
 
 class QUnit(StrEnum):
-    """What q counts: a velocity variance per step, m^2/s^2, as the paper writes it, or a spectral density, m^2/s^3."""
+    """What q counts.
+
+    PER_STEP: a velocity variance per step, m^2/s^2, as the paper writes it. DENSITY: a spectral density, m^2/s^3.
+    """
 
     PER_STEP = "per-step"
     DENSITY = "density"
 
 
 class ConstantR(StrEnum):
-    """How the general filter's R follows from the fix's errors in Monte Carlo: their variance, or one robust to outliers."""
+    """How the general filter's R follows from the fix's errors in Monte Carlo.
+
+    VARIANCE: it is their variance. ROBUST: it is a variance from their median absolute deviation, which outliers do not move.
+    """
 
     ROBUST = "robust"
     VARIANCE = "variance"

@@ -31,7 +31,10 @@ _ERROR_LIMITS_M = (0.3, 3000.0)
 
 
 def tables(study: PaperStudy) -> list[Table]:
-    """Return Table 2 for the whole flight and for its first part, and the scores behind it, to be printed by rich."""
+    """Return the study's tables, to be printed by rich.
+
+    They are Table 2 for the whole flight and for its first part, and the scores behind it.
+    """
     first_s = study.options.first_part_s
     return [
         _table_2(study, f"Table 2: variance of UAV4's distance error, m², whole flight; {study.options.seeds} draws", whole=True),
@@ -46,11 +49,12 @@ def readings(study: PaperStudy) -> dict[str, object]:
 
 
 def write(study: PaperStudy, out_dir: Path) -> list[Path]:
-    """Write `table2.csv`, `study.json` and the figures into a directory, which is made; return the files written.
+    """Write the study's tables and figures into a directory, and return the files.
+
+    The directory is made. The files are `table2.csv`, `study.json` and the figures.
 
     Raises:
         UsageError: the directory or a file cannot be written, or matplotlib is not installed.
-
     """
     try:
         make_output_directory(out_dir, "--out")

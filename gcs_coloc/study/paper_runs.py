@@ -1,4 +1,7 @@
-"""The paper's flight, and runs of its filters and of the fleet filter over draws of noise, reduced to sums while they go."""
+"""The paper's flight, and runs of the filters on it over draws of noise.
+
+The filters are the paper's and the fleet filter. The errors of the paper's filters are summed up while they run.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,10 @@ _FAR_M = 1e150  # chosen: its square is finite
 
 @dataclass(frozen=True, slots=True)
 class PaperFlight:
-    """True motion: times (T,) s, positions (4, T, 2) m and velocities (4, T, 2) m/s of UAV1-4, and their routes' waypoints."""
+    """True motion of UAV1-4, and the waypoints of their routes.
+
+    Times (T,) in s, positions (4, T, 2) in m, velocities (4, T, 2) in m/s.
+    """
 
     times_s: FloatArray
     positions_m: FloatArray
@@ -55,7 +61,10 @@ def fly(options: PaperOptions) -> PaperFlight:
 
 @dataclass(frozen=True, slots=True)
 class Sums:
-    """Per kind of filter, q and draw, shape (K, Q, S): steps, sums of error, of its square and of NEES, largest error."""
+    """Sums over the steps of a flight by kind of filter, q and draw, shape (K, Q, S).
+
+    They are those of steps, errors, squared errors and NEES. `largest_m` is the largest error.
+    """
 
     count: FloatArray
     error_m: FloatArray
@@ -81,7 +90,10 @@ class FilterSeries:
 
 @dataclass(frozen=True, slots=True)
 class Geometry:
-    """The first draw's fixes at the q of the figures: positions (N, 2), errors (N,) and the paper's sqrt(A11 + A22) (N,), m."""
+    """The first draw's fixes at the q of the figures.
+
+    Positions (N, 2), errors (N,) and the paper's sqrt(A11 + A22) (N,), all in m.
+    """
 
     fix_m: FloatArray
     fix_error_m: FloatArray
@@ -90,7 +102,10 @@ class Geometry:
 
 @dataclass(frozen=True, slots=True)
 class PaperRun:
-    """What some draws gave: sums over the flight and over its first part, and series by kind at the q of the figures."""
+    """What the paper's filters gave for some draws.
+
+    Sums over the flight and over its first part, and series by kind of filter at the q of the figures.
+    """
 
     whole: Sums
     first: Sums
@@ -99,7 +114,10 @@ class PaperRun:
 
 
 def constant_covariance(flight: PaperFlight, options: PaperOptions) -> FloatArray:
-    """Return the general filter's R, shape (Q, 2, 2), m^2, from the errors of fixes on a draw that no table uses."""
+    """Return the general filter's R by q, shape (Q, 2, 2), m^2.
+
+    It follows from the errors of fixes on a draw that no table uses.
+    """
     pilot = draw(flight.positions_m, flight.velocities_mps, options.first_seed + options.seeds, options)
     filters = PaperFilters([pilot], np.broadcast_to(np.eye(2), (len(options.qs), 2, 2)), options)
     errors = np.stack([filters.step(k).fix_m[:, 0] - flight.positions_m[3, k] for k in range(1, len(flight.times_s))])
@@ -151,7 +169,10 @@ def run_paper_filters(flight: PaperFlight, seeds: list[int], constant_R: FloatAr
 
 
 def run_fleet(flight: PaperFlight, seed: int, options: PaperOptions) -> FilterSeries:
-    """Take the fleet filter through the same measurements of one seed, the very ones that the paper's filters get."""
+    """Run the fleet filter through the flight for one seed.
+
+    It gets the very measurements that the paper's filters get, and a height of zero.
+    """
     one = draw(flight.positions_m, flight.velocities_mps, seed, options)
     estimator = load_estimator("fleet", {})
     for uav in range(4):

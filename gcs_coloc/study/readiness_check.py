@@ -1,7 +1,7 @@
-"""The check of readiness: what was told before GPS was taken, against what the filter stated and reached 30 s after.
+"""The check of readiness: what was told before GPS failed, against what came 30 s later.
 
-Random flights of the integrity trials' classes, in which the GPS fails at a random time, and recordings, where the operator's
-override takes it at random times.
+What came is what the filter stated, and the error that it reached. In random flights of the integrity trials' classes GPS
+fails at a random time. In recordings the operator's override takes it at random times.
 """
 
 from __future__ import annotations
@@ -110,13 +110,13 @@ def run_checks(
     first_seed: int = 1,
     kept: KeptResults | None = None,
 ) -> list[Loss]:
-    """Fly so many flights of each class, seeds from the first one on, and take GPS as often in each recording.
+    """Let GPS fail in flights of each class and in each recording, and return each loss.
 
-    What is kept is not computed again.
+    `seeds` flights of each class are flown, from `first_seed` on. GPS is taken as often in each recording. What is kept is not
+    computed again.
 
     Raises:
         UsageError: no such class or recording.
-
     """
     for name in classes:
         if name not in CLASSES:
@@ -168,7 +168,10 @@ def _fly(name: str, seed: int) -> Loss | None:
 
 
 def _replay(path: Path, draw: int, from_s: float) -> Loss | None:
-    """Take the GPS of the vehicle that ranges at a random time of a recording; None where its GPS was not healthy then."""
+    """Take one vehicle's GPS at a random time of a recording, and return the loss.
+
+    The vehicle is the one with the most peers to range. None where no vehicle's GPS was healthy then.
+    """
     engine = Engine(load_estimator("fleet", {}), EngineSettings(request_streams=False))
     beside = path.with_name(_TRUTH)
     truth = read_truth(beside) if beside.is_file() else []

@@ -69,7 +69,10 @@ class Spoofing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlightClass:
-    """One class. Sigmas are per axis; what is a `Span` is drawn for each flight, and for each vehicle where it is one's own."""
+    """One class of flights: what is drawn for each of them.
+
+    Sigmas are per axis. A value of type `Span` is drawn for each flight, or for each vehicle where it belongs to a vehicle.
+    """
 
     name: str
     group: Group

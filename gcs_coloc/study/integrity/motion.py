@@ -1,4 +1,4 @@
-"""True motion of the trials' vehicles: planes that bank, copters between waypoints, agile ones, hovering ones."""
+"""True motion of the trials' vehicles: planes that bank, and copters that fly or hover."""
 
 from __future__ import annotations
 
@@ -27,9 +27,10 @@ _GUST_TIME_S = 4.0
 
 
 class Trajectory:
-    """True motion at steps of `STEP_S`: positions (N, 3) m and velocities (N, 3) m/s ENU, attitude (N, 3) rad, airspeed (N,).
+    """True motion of one vehicle at steps of `STEP_S`.
 
-    Attitude is roll, pitch and yaw from north, clockwise. `airspeed_mps` is None of a vehicle without wings.
+    Positions (N, 3) in m and velocities (N, 3) in m/s are east, north, up. Attitude (N, 3) in rad is roll, pitch and yaw from
+    north, clockwise. `airspeed_mps` (N,) is None for a vehicle without wings.
     """
 
     def __init__(
@@ -74,7 +75,10 @@ def between_rows(rows: Sequence[Sequence[float]], step: int, share: float) -> Ve
 
 
 def gauss_markov(rng: np.random.Generator, count: int, step_s: float, sigma: float, time_s: float, axes: int = 3) -> FloatArray:
-    """Return a stationary Gauss-Markov process (count, axes) of a standard deviation and a correlation time."""
+    """Return a stationary Gauss-Markov process, shape (count, axes).
+
+    `sigma` is its standard deviation, in the unit of the result. `time_s` is its correlation time.
+    """
     keep = float(np.exp(-step_s / time_s))
     noise = sigma * np.sqrt(1.0 - keep * keep) * rng.standard_normal((count, axes))
     noise[0] = sigma * rng.standard_normal(axes)
@@ -125,7 +129,10 @@ def _centres(rng: np.random.Generator, drawn: FlightClass, vehicles: int, extent
 def _plane(
     rng: np.random.Generator, drawn: FlightClass, steps: int, centre_m: FloatArray, radius_m: float, wind_mps: FloatArray
 ) -> Trajectory:
-    """Fly level turns of random bank and length with slow climbs; beyond `radius_m` from the centre the plane turns back."""
+    """Fly a plane in level turns of random bank and length, with slow climbs.
+
+    Beyond `radius_m` from the centre, or two radii of its turn if that is more, it turns back.
+    """
     speed, steepest = rng.uniform(*_PLANE_SPEED_MPS), radians(rng.uniform(*drawn.bank_deg))
     roll_rate = rng.uniform(*_ROLL_RATE_RADPS)
     turn_radius_m = speed**2 / (GRAVITY_MPS2 * tan(_TURN_BACK_BANK))
@@ -162,7 +169,10 @@ def _plane(
 def _copter(
     rng: np.random.Generator, drawn: FlightClass, steps: int, centre_m: FloatArray, radius_m: float, *, is_agile: bool
 ) -> Trajectory:
-    """Fly to random waypoints within `radius_m`; an agile copter changes them every few seconds and accelerates fully."""
+    """Fly a copter to random waypoints within `radius_m` of the centre.
+
+    An agile copter gets a new waypoint every 2 to 6 s, any other every 8 to 30 s.
+    """
     fastest, most = rng.uniform(*_COPTER_SPEED_MPS), rng.uniform(*drawn.acceleration_mps2)
     if is_agile:
         fastest = max(fastest, 10.0)

@@ -69,9 +69,10 @@ def draw_intervals(rng: np.random.Generator, mean_off_s: float, mean_on_s: float
 
 @dataclass(slots=True)
 class Fault:
-    """A false offset of one receiver from `at_s` on: at once by `step_m` and on at `ramp_mps`, along `away`.
+    """A false offset of one receiver from `at_s` on.
 
-    The autopilot's filter follows it after `followed_after_s` and reports a glitch until then.
+    The offset is `step_m` at once and grows by `ramp_mps`, in the direction `away`. The autopilot's filter follows it after
+    `followed_after_s` and reports a glitch until then.
     """
 
     at_s: float
@@ -147,7 +148,11 @@ class BarometerJump:
 
 
 class ReceiverErrors:
-    """Errors of one vehicle's receiver, barometer, compass (rad), pitot tube (a factor) and UTC (s); positions ENU in m."""
+    """Errors of one vehicle's receiver, barometer, compass, pitot tube and UTC.
+
+    Positions are east, north, up in m. `heading_rad` is the error of the compass, `pitot` the factor of the pitot tube,
+    `utc_behind_s` the delay of UTC.
+    """
 
     def __init__(self, rng: np.random.Generator, drawn: FlightClass, common_m: FloatArray, duration_s: float) -> None:
         sigma_m, white_m = rng.uniform(*drawn.gnss_sigma_m), rng.uniform(*drawn.gnss_white_m)
@@ -193,7 +198,10 @@ class ReceiverErrors:
 
 
 class PairErrors:
-    """Errors of the ranges of one pair; `device_m` is the sum of both devices' biases, `scale` of their scale errors."""
+    """Errors of the ranges of one pair.
+
+    `device_m` is the bias from both devices, `scale` the scale error from both.
+    """
 
     def __init__(self, rng: np.random.Generator, drawn: FlightClass, sigma_m: float, device_m: float, scale: float, end_s: float):
         self._rng, self._noise, self.sigma_m = rng, drawn.range_noise, sigma_m
@@ -224,7 +232,10 @@ class PairErrors:
 
 
 class LinkErrors:
-    """Delays of one vehicle's link, both ways, and its boot clock. Messages keep their order."""
+    """Delays of one vehicle's link, both ways, and its boot clock.
+
+    Messages from the vehicle keep their order.
+    """
 
     def __init__(self, rng: np.random.Generator, drawn: FlightClass, least_s: float, end_s: float) -> None:
         self._rng, self._least_s, self._jitter_s = rng, least_s, rng.uniform(*drawn.jitter_s)

@@ -1,4 +1,6 @@
-"""A simulated fleet of one trial: what its vehicles send, when it arrives, and what they do with what they are sent.
+"""A simulated fleet of one trial: what its vehicles send, and when it arrives.
+
+The vehicles also react to what the engine sends them.
 
 Motion, errors and links are the trials' own; messages are the frozen ones that the engine receives. A vehicle without a fix
 reports dead reckoning, or the fix that it was sent. The vehicles fly where they would with GPS: aiding does not move them.

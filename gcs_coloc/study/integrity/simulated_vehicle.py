@@ -1,4 +1,4 @@
-"""One simulated vehicle of a trial: the state of its receiver and autopilot, and the messages that they send."""
+"""One simulated vehicle of a trial: its receiver, its autopilot and the messages they send."""
 
 from __future__ import annotations
 
@@ -122,7 +122,10 @@ class SimulatedVehicle:
         return [own, GpsReceiver(sysid, arrival_s, 1, 3, *self.frame.to_lla(*aid[1]), 10, 1.0, 1.0, 1.0, 0.5, boot_s)]
 
     def position_messages(self, at_s: float) -> list[Inbound]:
-        """Build the position of its autopilot: of its receiver, of the fix that it was sent, or dead reckoning."""
+        """Build the position that its autopilot reports.
+
+        It comes from its receiver, from the fix that it was sent, or from dead reckoning.
+        """
         arrival_s, errors, course = self.arrival_s(at_s), self.receiver, self.course
         true_m, velocity_mps = course.position(at_s), _plus(course.velocity(at_s), errors.velocity_mps(at_s))
         place = _plus(true_m, errors.slow_m(at_s))

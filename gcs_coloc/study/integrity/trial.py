@@ -57,7 +57,11 @@ class EventKind(StrEnum):
 
 @dataclass(slots=True)
 class TrialEvent:
-    """One event of a vehicle, s and m; `alerted_after_s`: how long the wrong fix lasted at a stretch at most."""
+    """One event of a vehicle: from when to when, and the largest error in it.
+
+    `bound_m` is the 95 % bound, or the protection level, at that error. `lasted_s` is the longest time at a stretch. `detail`
+    says in words what happened where there is no error.
+    """
 
     kind: EventKind
     sysid: int
@@ -94,7 +98,10 @@ class TrialScore:
 
 @dataclass(frozen=True, slots=True)
 class TrialSample:
-    """One vehicle at one time: its state, whether it is sent a fix, error, 95 % bound and protection level in m."""
+    """One vehicle at one time: its state, and its estimate against the truth.
+
+    `has_fix`: it is sent a fix. `error_m` (horizontal), `bound_m` (95 %) and `hpl_m` are None where there is no such value.
+    """
 
     at_s: float
     sysid: int

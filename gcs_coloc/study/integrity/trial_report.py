@@ -1,4 +1,7 @@
-"""The report of the trials: events per hour with their Poisson limits, availability, coverage and time to alert by class."""
+"""The report of the trials by class: events per hour, availability, coverage, time to alert.
+
+The rates of events have their Poisson limits.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,10 @@ class EventRate:
 
     @classmethod
     def of(cls, count: int, hours: float) -> EventRate:
-        """Return the rate of so many events in so many hours. Source: Garwood's exact limits of a Poisson mean."""
+        """Return the rate of so many events in so many hours.
+
+        Source: Garwood's exact limits of a Poisson mean.
+        """
         if hours <= 0.0:
             return cls(count, hours, 0.0, float("inf"))
         least = float(chi2.ppf(1.0 - _CONFIDENCE, 2 * count)) / 2.0 if count else 0.0
@@ -43,8 +49,9 @@ class EventRate:
 
 @dataclass(frozen=True, slots=True)
 class ClassResult:
-    """The result of a class or of several: events by kind, `late` those that lasted beyond the time to alert; shares; metres.
+    """The result of a class of flights, or of several classes.
 
+    `rates` are those of all events, by kind; `late` counts those that lasted longer than the time to alert. Shares are of one.
     `alerts_s` are quantiles 0.5 and 1 of the time to alert, over faulty receivers that were found; `unalerted` were not.
     """
 
@@ -103,7 +110,10 @@ def all_results(scores: Sequence[TrialScore]) -> list[ClassResult]:
 
 
 def result_table(results: Sequence[ClassResult]) -> Table:
-    """Return the results as one table; in a cell of events the number after the stroke lasted beyond the time to alert."""
+    """Return the results as one table.
+
+    In a cell of events the number after the stroke counts those that lasted beyond the time to alert.
+    """
     table = Table(title="Integrity trials")
     headings = ("class", "h", "fix %", "cov %", "rmse m", "> 3 b", "> HPL", "> limit", "HPL m", "sound", "FAILED",
                 "dist. %", "alert s", "none")  # fmt: skip

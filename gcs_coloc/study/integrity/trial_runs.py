@@ -25,9 +25,10 @@ Done = Callable[[TrialScore], None]
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """What is flown: classes, and either so many seeds of each or so many hours under aid in all. Raises UsageError.
+    """What is flown: the classes, and how many flights.
 
-    `out`: the directory in which the flights are written and found again.
+    Either `seeds` says how many of each class, or `hours` how long under aid in all. Raises UsageError for values that make no
+    run. `out`: the directory in which the flights are written and found again.
     """
 
     out: Path
@@ -57,7 +58,9 @@ def flown_with(estimator: str) -> dict[str, str]:
 
 
 def run_trials(options: RunOptions, done: Done) -> list[TrialScore]:
-    """Fly what is not in the directory yet, and return the scores of all flights that were wanted, by class and seed.
+    """Fly the flights that the directory does not hold yet, and return all scores.
+
+    The scores are those of all flights that were wanted, by class and seed.
 
     Raises:
         DataError: the directory holds flights of another state of the program, or of another estimator or state of it.

@@ -1,4 +1,7 @@
-"""Ten plans of different kind on which the prediction is checked, each with the vehicle that is denied."""
+"""The plans on which the prediction is checked, each with the vehicle that is denied.
+
+There are ten, of different kinds.
+"""
 
 from __future__ import annotations
 

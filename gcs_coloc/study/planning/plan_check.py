@@ -32,10 +32,11 @@ _SETTLED_S = 20.0
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """One window of a plan: from when, s; predicted and reached 95 % of the error, m; share of samples without an estimate.
+    """One window of a plan: the predicted and the reached 95 % of the error.
 
-    `is_told`: the prediction tells the size of the error here (`Prediction.is_told`). `interval`: 95 % confidence interval of
-    reached over predicted, by the bootstrap over flights. `hpl_ratio`: stated over predicted protection level, the median.
+    `from_s`: when it begins. `lost`: share of samples without an estimate. `is_told`: the prediction tells the size of the error
+    here (`Prediction.is_told`). `interval`: 95 % confidence interval of reached over predicted, by the bootstrap over flights.
+    `hpl_ratio`: stated over predicted protection level, the median.
     """
 
     from_s: float
@@ -76,11 +77,11 @@ class Window:
 
 @dataclass(frozen=True, slots=True)
 class PlanCheck:
-    """One plan's check: its windows, how many of the errors are within the predicted bound of their time, and of which share
-    of the flight the prediction cannot tell.
+    """One plan's check: its windows, and what they come to over the whole flight.
 
-    `fix_predicted`, `fix_reached`: share of the flight with a fix. `beyond_hpl`: samples with a fix whose error is beyond the
-    predicted protection level of their time.
+    `covered`: share of the errors within the predicted bound of their time. `not_told`: share of the flight of which the
+    prediction cannot tell the size of the error. `fix_predicted`, `fix_reached`: share of the flight with a fix. `beyond_hpl`:
+    samples with a fix whose error is beyond the predicted protection level of their time.
     """
 
     name: str
@@ -191,7 +192,10 @@ def _interval(ratios: FloatArray) -> tuple[float, float]:
 
 
 def check_table(checks: Sequence[PlanCheck]) -> Table:
-    """Return a row for each plan: how many windows are close, median of reached over predicted, errors within their bound."""
+    """Return a table with a row for each plan.
+
+    It shows how many windows are close, the median of reached over predicted, and how many errors are within their bound.
+    """
     table = Table()
     headings = ("plan", "predicted 95 % m", "reached / predicted", "told and within 20 %")
     levels = (
