@@ -1,5 +1,6 @@
-"""ArduPilot as far as positions from outside go: two GPS ports, EKF3's gates and lanes, arming checks, external position
-estimates.
+"""ArduPilot as far as positions from outside go.
+
+It has two GPS ports, EKF3's gates and lanes, arming checks and external position estimates.
 
 After ArduPilot 4.7: AP_GPS, AP_Arming::gps_checks, NavEKF3_core::setLatLng and SelectVelPosFusion (a change of receiver sets
 the position to the new one's), NavEKF3::UpdateFilter (lanes), AP_AHRS (the fall back to the receiver), and measurements on its
@@ -76,8 +77,9 @@ class ArduPilot(Autopilot):
     def apply_external_estimate(
         self, position_m: tuple[float, float], accuracy_m: float | None, age_s: float, at_s: float
     ) -> int:
-        """Set the position, brought forward by its age, unless a position was accepted within the last second or there never
-        was one.
+        """Set the position, brought forward by its age, while the plane dead-reckons.
+
+        FAILED where a position was accepted within the last second, or where there never was one.
         """
         if super().source(at_s) != DEAD_RECKONING:
             return FAILED
@@ -86,8 +88,9 @@ class ArduPilot(Autopilot):
         return ACCEPTED
 
     def arming_refusal(self, at_s: float) -> str | None:
-        """Go through the GPS checks: each port in use has a 3D fix in good rhythm, MAVLink's for 10 s, and the two are within
-        50 m.
+        """Return why the GPS checks do not let it arm; None where they do.
+
+        Each port in use needs a 3D fix in good rhythm, a port fed by MAVLink for 10 s. Two ports must be within 50 m.
         """
         ports = [i for i in (0, 1) if self._params[f"GPS{i + 1}_TYPE"] != 0]
         for i in ports:
@@ -120,7 +123,10 @@ class ArduPilot(Autopilot):
         return is_own(self.in_use, self._params) and super().own_gps_in_use(at_s)
 
     def believed(self, at_s: float) -> tuple[Horizontal, Horizontal] | None:
-        """The position (m) and velocity (m/s) of the lane in use, or the receiver's last fix where that was fallen back to."""
+        """Return the position (m) and velocity (m/s) that it flies by; None before the first fix.
+
+        They are those of the lane in use, or the receiver's last fix where it has fallen back to that.
+        """
         fix = self.receivers[self.in_use].fix
         if not self._goes_by_receiver or fix is None:
             return super().believed(at_s)
@@ -161,8 +167,9 @@ class ArduPilot(Autopilot):
             self._last_used = self._name(instance)
 
     def _refusal(self, instance: int, at_s: float) -> str | None:
-        """Why a receiver in use is not fused. EKF3's checks are for its alignment: they are not made again until none was
-        fused for long.
+        """Return why a receiver in use is not fused; None where it is.
+
+        EKF3's checks are for its alignment. They are not made again until no receiver was fused for 10 s.
         """
         receiver = self.receivers[instance]
         if at_s - self._used_at_s <= _NOT_CHECKED_AGAIN_S:

@@ -105,7 +105,10 @@ class Autopilot(ABC):
     def apply_external_estimate(
         self, position_m: tuple[float, float], accuracy_m: float | None, age_s: float, at_s: float
     ) -> int:
-        """Take MAV_CMD_EXTERNAL_POSITION_ESTIMATE: position (m), 1-sigma (m, None unknown), its age (s); returns MAV_RESULT."""
+        """Take MAV_CMD_EXTERNAL_POSITION_ESTIMATE and return its MAV_RESULT.
+
+        `position_m` is east and north. `accuracy_m` is 1-sigma, None where unknown. `age_s` is how old the position is.
+        """
 
     def use_own_gps(self, *, used: bool) -> int:  # noqa: ARG002 - PX4 has a choice
         """Take MAV_CMD_ESTIMATOR_SENSOR_ENABLE of the own GPS; returns MAV_RESULT."""
@@ -132,8 +135,9 @@ class Autopilot(ABC):
         return self.source(at_s) == "gps1"
 
     def heading_command_rad(self, air: AirData, at_s: float, step_s: float) -> float:
-        """Carry the estimate over one step and return the heading to fly, rad; without a position, the present heading is
-        held.
+        """Carry the estimate over one step and return the heading to fly, rad.
+
+        Without a position the present heading is held.
         """
         for lane in self.lanes:
             lane.predict(air.airspeed_mps, air.heading_rad, step_s)
@@ -147,8 +151,10 @@ class Autopilot(ABC):
         return heading_for_course(course, air.airspeed_mps, *self.navigation.wind_mps)
 
     def source(self, at_s: float) -> str:
-        """What it navigates on: "gps1", "gps2", "gps1 injected", "gps2 injected", "aux global position", "vision position",
-        "ranging beacons", "dead_reckoning" or "none".
+        """Return the name of what it navigates on.
+
+        One of "gps1", "gps2", "gps1 injected", "gps2 injected", "aux global position", "vision position", "ranging beacons",
+        "dead_reckoning" and "none".
         """
         if self.navigation.position_m is None:
             return NO_POSITION

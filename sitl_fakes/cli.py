@@ -1,4 +1,7 @@
-"""`sitl-fakes SCENARIO`: fly a scenario in real time and send its vehicles' MAVLink to a ground station."""
+"""`sitl-fakes SCENARIO`: fly a scenario in real time.
+
+The vehicles send MAVLink to a ground station.
+"""
 
 from __future__ import annotations
 
@@ -80,7 +83,7 @@ def fly(
         typer.Option("--list", callback=_list, is_eager=True, help="List the scenarios that come with it, and exit."),
     ] = False,
 ) -> None:
-    """Fly a scenario in real time over UDP: simulated aircraft that send and take MAVLink as ArduPilot does."""
+    """Fly a scenario in real time over UDP: simulated ArduPilot and PX4 aircraft that speak MAVLink."""
     del listed
     address = _address("--target", target, "127.0.0.1:14550")
     group = None if airspace is None else _group(airspace)

@@ -70,7 +70,10 @@ def _global_position_sensor(vehicle: FlightController, message: Any, at_s: float
 
 
 def _vision_position_estimate(vehicle: FlightController, message: Any, at_s: float) -> list[Any]:
-    """A PX4 reads north and east of its local frame, and their variances on the diagonal of the covariance."""
+    """Take a VISION_POSITION_ESTIMATE as a PX4 reads it.
+
+    It is north and east of the local frame. The variances are on the diagonal of the covariance.
+    """
     origin_m = vehicle.autopilot.origin_m
     if origin_m is not None and math.isfinite(message.x) and math.isfinite(message.y):
         lat_0, lon_0, _ = vehicle.frame.to_lla(*origin_m)
@@ -90,7 +93,10 @@ def _ranging_beacon(vehicle: FlightController, message: Any, at_s: float) -> lis
 
 
 def _horizontal_m(vehicle: FlightController, lat_e7: int, lon_e7: int) -> tuple[float, float] | None:
-    """East and north (m) of a latitude and longitude in 1e-7 degrees, or None where there is no such place."""
+    """Return east and north (m) of a latitude and longitude in 1e-7 degrees.
+
+    None where there is no such place.
+    """
     lat_deg, lon_deg = lat_e7 * 1e-7, lon_e7 * 1e-7
     if abs(lat_deg) > 90.0 or abs(lon_deg) > 180.0:
         return None
@@ -181,9 +187,10 @@ def status_text(text: str, severity: int = mavlink.MAV_SEVERITY_CRITICAL) -> lis
 
 
 def _external_position(vehicle: FlightController, message: Any, at_s: float) -> int:
-    """MAV_CMD_EXTERNAL_POSITION_ESTIMATE: sent at param1 s of the sender's clock, worked out for param2 s, 1-sigma param3 m.
+    """Take MAV_CMD_EXTERNAL_POSITION_ESTIMATE and return its MAV_RESULT.
 
-    The altitude must be NaN, the frame a global one. The autopilot decides about the rest.
+    It was sent at param1 s of the sender's clock after param2 s of work; its 1-sigma is param3 m. The altitude must be NaN, the
+    frame a global one. The autopilot decides about the rest.
     """
     place = _horizontal_m(vehicle, message.x, message.y)
     if place is None or not math.isnan(message.z) or message.frame not in _GLOBAL_FRAMES:

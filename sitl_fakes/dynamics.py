@@ -1,4 +1,6 @@
-"""One aircraft's flight: lateral dynamics, aileron and rudder actuators, and the heading hold of Qu & Zhang's Figure 4.
+"""The flight of one aircraft: lateral dynamics, actuators and heading hold.
+
+The heading hold is that of Qu & Zhang's Figure 4. The actuators are aileron and rudder.
 
 Units: rad, rad/s, m, s. Heading `psi` is from the frame's north, clockwise; positions are east and north in metres.
 
@@ -67,7 +69,9 @@ class FlightState(NamedTuple):
 
 
 class LateralAircraft:
-    """An aircraft at constant airspeed under its heading hold; `step` moves its `state` on by fourth-order Runge-Kutta.
+    """An aircraft at constant airspeed under its heading hold.
+
+    `step` moves its `state` on by fourth-order Runge-Kutta.
 
     The heading hold (Fig. 4): heading error times a gain gives the bank that turns at 0.6 rad/s per rad of error,
     limited to 45 degrees; bank error and roll rate drive the aileron. The rudder is driven by the yaw rate beyond the
@@ -86,7 +90,10 @@ class LateralAircraft:
         self.state = FlightState(east_m, north_m, 0.0, 0.0, 0.0, 0.0, heading_rad, 0.0, 0.0)
 
     def step(self, heading_cmd_rad: float, step_s: float, wind_east_mps: float = 0.0, wind_north_mps: float = 0.0) -> None:
-        """Fly one step towards a commanded heading (rad, from the frame's north), in a wind that blows towards east, north."""
+        """Fly one step towards a commanded heading (rad, from the frame's north).
+
+        The wind blows towards east and north.
+        """
         bank_cmd = math.atan(self._heading_gain * wrap_pi(heading_cmd_rad - self.state.psi_rad))
         bank_cmd = max(-_BANK_LIMIT_RAD, min(_BANK_LIMIT_RAD, bank_cmd))
         x = self.state
@@ -101,7 +108,10 @@ class LateralAircraft:
         self.state = FlightState(e, n, b, p, r, phi, wrap_pi(psi), da, dr)
 
     def rates(self, x: State, bank_cmd_rad: float, wind_east_mps: float, wind_north_mps: float) -> State:
-        """Time derivative of the state under a commanded bank: kinematics (34), lateral model, actuators, inner loops."""
+        """Return the time derivative of the state under a commanded bank.
+
+        It follows from the kinematics (34), the lateral model, the actuators and the inner loops.
+        """
         _, _, beta, p, r, phi, psi, da, dr = x
         d, v = self.derivatives, self.airspeed_mps
         gravity_turn = GRAVITY_MPS2 * math.sin(phi) / v

@@ -62,10 +62,11 @@ class GpsFrozen(_Fault):
 
 
 class GpsSpoofed(_Fault):
-    """The vehicle's own receiver is walked off at `speed_mps` towards `direction_deg`, with all its signs of health.
+    """The vehicle's own receiver is walked off, with all its signs of health.
 
-    A `speed_mps` of 0 with an `offset_m` is a step. `reported`: the receiver notices, and a PX4 says so in GNSS_INTEGRITY.
-    `velocity_follows`: its velocity is in keeping; else it is the true one, as in ArduPilot's SITL.
+    It moves at `speed_mps` towards `direction_deg`. A `speed_mps` of 0 with an `offset_m` is a step. `reported`: the receiver
+    notices, and a PX4 says so in GNSS_INTEGRITY. `velocity_follows`: its velocity is in keeping; else it is the true one, as in
+    ArduPilot's SITL.
     """
 
     kind: Literal["gps_spoofed"] = "gps_spoofed"
@@ -92,7 +93,10 @@ class RangeBias(_Fault):
 
 
 class RangeStuck(_Fault):
-    """Ranges that the vehicle measures (to `peer`, or to all) repeat the last value, with new times and numbers."""
+    """Ranges that the vehicle measures repeat the last value, with new times and numbers.
+
+    They are those to `peer`, or to all.
+    """
 
     kind: Literal["range_stuck"] = "range_stuck"
     peer: _SystemId | None = None

@@ -1,4 +1,7 @@
-"""A whole scenario in flight, without IO: stepped by simulated time, deterministic for a scenario and a seed."""
+"""A whole scenario in flight, without IO, stepped by simulated time.
+
+It is deterministic for a scenario and a seed.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,10 @@ _EPSILON_S = 1e-9  # chosen: far below a step, far above rounding
 
 @dataclass(frozen=True, slots=True)
 class Datagram:
-    """One UDP payload from a vehicle and the simulated time (s) at which it comes out of the vehicle's link."""
+    """One UDP payload from a vehicle.
+
+    `due_s` is the simulated time (s) at which it comes out of the vehicle's link.
+    """
 
     sysid: int
     due_s: float
@@ -28,7 +34,9 @@ class Datagram:
 
 
 class Fleet:
-    """The vehicles of a scenario, or those of `sysids` while other processes simulate the others and `add_shared_state` has them.
+    """The vehicles of a scenario that this process simulates.
+
+    They are those of `sysids`, or all. Other processes may simulate the others; `add_shared_state` takes their states in.
 
     Time starts at 0 s; `unix_epoch_s` is the UNIX time of that moment.
     """
@@ -56,7 +64,10 @@ class Fleet:
         return max(self._steps_done, 0) * STEP_S
 
     def advance(self, to_s: float) -> list[Datagram]:
-        """Simulate up to a time (s) and return what has come out of the vehicles' links by then, in order of time."""
+        """Simulate up to a time (s) and return the datagrams that have come out by then.
+
+        They are in order of time.
+        """
         while (self._steps_done + 1) * STEP_S <= to_s + _EPSILON_S:
             self._steps_done += 1
             at_s = self._steps_done * STEP_S

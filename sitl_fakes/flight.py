@@ -1,4 +1,7 @@
-"""The physical side of one vehicle (wind, aircraft, height, sensors other than GPS) and its truth, for scoring and for others."""
+"""The physical side of one vehicle, and its truth for scoring and for other processes.
+
+The physical side is wind, aircraft, height and air sensors.
+"""
 
 from __future__ import annotations
 
@@ -33,9 +36,10 @@ class LocalWind:
 
 
 class Flight:
-    """One aircraft in the air at constant airspeed; it holds the altitude that its autopilot believes, and drifts with it.
+    """One aircraft in the air at constant airspeed.
 
-    While `standing` it is on the ground and does not move.
+    It holds the altitude that its autopilot believes, and so drifts with the error of that. While `standing` it is on the ground
+    and does not move.
     """
 
     def __init__(
@@ -106,8 +110,10 @@ class Flight:
 
 @dataclass(frozen=True, slots=True)
 class VehicleTruth:
-    """The true state of one vehicle: position (east, north, up m; deg, m above mean sea level), velocity (m/s), attitude
-    (rad).
+    """The true state of one vehicle.
+
+    Position is east, north, up (m), and latitude, longitude (degrees) and altitude above mean sea level (m). Velocity is in m/s,
+    attitude in rad.
 
     `cross_track_m` is the true distance left of the track it is flying, `off_route_m` the least distance to its whole
     route. `estimate_east_m`, `estimate_north_m` are the autopilot's position estimate (None before a first fix), `source`
@@ -141,8 +147,9 @@ CSV_HEADER = [f.name for f in fields(VehicleTruth)]
 
 
 def csv_row(truth: VehicleTruth) -> list[str]:
-    """Return the line of the truth file: degrees to 1e-8, all other numbers to a millimetre or a milliradian and finer; None
-    is empty.
+    """Return a vehicle's line of the truth file.
+
+    Degrees have eight decimals, all other numbers four. None is empty.
     """
     return [_cell(name, value) for name, value in asdict(truth).items()]
 

@@ -1,4 +1,7 @@
-"""One vehicle's flight controller: autopilot, parameters, boot clock and message rates, and what a reboot does to them."""
+"""One vehicle's flight controller: autopilot, parameters, boot clock and message rates.
+
+A reboot restarts all of them except the parameters.
+"""
 
 from __future__ import annotations
 
@@ -86,7 +89,10 @@ class FlightController:
         return self._flight.air.altitude_m + self.autopilot.height.error_m
 
     def run(self, active: Iterable[Fault], at_s: float) -> None:
-        """Let the faults in force that are its own befall it at a time (s): a reboot begins or is over, the clock jumps."""
+        """Apply the faults in force that concern the controller at a time (s).
+
+        A reboot begins or is over, or the clock jumps.
+        """
         for fault in active:
             if isinstance(fault, Reboot):
                 self.faults.remove(fault)
@@ -115,9 +121,10 @@ class FlightController:
         return bytes(message.pack(self._mav))
 
     def pack_range(self, sample: RangeSample, at_s: float) -> bytes | None:
-        """Encode a measured range as the scenario wants it sent; None where the autopilot drops its companion's message.
+        """Encode a measured range as the scenario wants it sent.
 
-        PX4 forwards no message that it does not know; ArduPilot only from a port with MAVn_OPTIONS bit 3 (FORWARD_BAD_CRC).
+        None where the autopilot drops its companion's message. PX4 forwards no message that it does not know; ArduPilot only from
+        a port with MAVn_OPTIONS bit 3 (FORWARD_BAD_CRC).
         """
         ranging, boot_s = self._scenario.ranging, self.clock.boot_s(at_s)
         forwards_unknown = bool(int(self.params.get("MAV2_OPTIONS", 0.0)) & _FORWARD_BAD_CRC)
@@ -206,7 +213,10 @@ class BootClock:
 
 
 class OffboardClock:
-    """Converts the times in one sender's messages to local ones, as if its shortest delay were none (JitterCorrection)."""
+    """A converter of the times in one sender's messages to local times.
+
+    It treats the shortest delay of the messages as none, as ArduPilot's JitterCorrection does.
+    """
 
     def __init__(self) -> None:
         self._offset_s = math.inf
@@ -214,8 +224,9 @@ class OffboardClock:
         self._samples = 0
 
     def to_local_s(self, sent_s: float, received_s: float) -> float:
-        """The local time (s) of a sender's time (s) in a message that was received just now; never later than now, nor earlier by
-        more than 0.5 s.
+        """Return the local time (s) of a sender's time (s) in a message received just now.
+
+        It is never later than now, nor earlier by more than 0.5 s.
         """
         difference_s = received_s - sent_s
         self._offset_s = min(self._offset_s, difference_s)

@@ -1,4 +1,4 @@
-"""World geodesy of the fakes: east-north-up metres about an origin <-> WGS 84 latitude, longitude, height, by way of ECEF.
+"""World geodesy of the fakes: from east-north-up metres to WGS 84 and back, by way of ECEF.
 
 Written for the simulation alone; the service has its own. Formulas: geodetic to ECEF is exact; ECEF to geodetic is Bowring's
 (1976) start followed by fixed-point steps, which agree with the exact answer to below a micrometre for heights under 100 km.
@@ -28,7 +28,10 @@ def geodetic_to_ecef(lat_deg: float, lon_deg: float, height_m: float) -> Vector:
 
 
 def ecef_to_geodetic(x: float, y: float, z: float) -> Vector:
-    """Geodetic latitude (deg), longitude (deg) and ellipsoidal height (m) of an ECEF point (m) away from the Earth's axis."""
+    """Return latitude (deg), longitude (deg) and ellipsoidal height (m) of an ECEF point (m).
+
+    The point has to be away from the Earth's axis.
+    """
     p = math.hypot(x, y)
     b = _A * (1.0 - _F)
     theta = math.atan2(z * _A, p * b)
@@ -56,7 +59,9 @@ def _enu_axes(lat_deg: float, lon_deg: float) -> NDArray[np.float64]:
 
 
 def from_px4_local(origin_lat_deg: float, origin_lon_deg: float, north_m: float, east_m: float) -> tuple[float, float]:
-    """Latitude and longitude (deg) of a place of PX4's local frame, by its projection: azimuthal equidistant on a sphere.
+    """Return latitude and longitude (deg) of a place of PX4's local frame.
+
+    PX4's projection is azimuthal equidistant on a sphere.
 
     Source: PX4's lib/geo, MapProjection::reproject.
     """
@@ -95,7 +100,10 @@ class WorldFrame:
         return lat, lon, height - self.geoid_height_m
 
     def to_lla_at(self, east_m: float, north_m: float, alt_msl_m: float) -> Vector:
-        """Latitude (deg), longitude (deg) and altitude (m) of the point over (east, north) that has a known altitude (m)."""
+        """Return latitude (deg), longitude (deg) and altitude (m) of a point of known altitude.
+
+        The point lies over (east, north).
+        """
         up = alt_msl_m - self.to_lla(east_m, north_m, 0.0)[2]
         lat, lon, _ = self.to_lla(east_m, north_m, up)
         return lat, lon, alt_msl_m
@@ -108,7 +116,10 @@ class WorldFrame:
         return east, north, up
 
     def vector_to_local_ned(self, vector_enu: Vector, lat_deg: float, lon_deg: float) -> Vector:
-        """Turn a vector of the frame into north, east, down of a place in it (their axes differ by the Earth's curvature)."""
+        """Turn a vector of the frame into north, east, down of a place in it.
+
+        The axes of both differ by the Earth's curvature.
+        """
         east, north, up = (_enu_axes(lat_deg, lon_deg) @ (np.array(vector_enu) @ self._axes)).tolist()
         return north, east, -up
 

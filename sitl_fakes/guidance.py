@@ -1,4 +1,6 @@
-"""Waypoint guidance: the route's legs, cross-track error and the heading command of Qu & Zhang's equations (32), (33), (35)-(37).
+"""Waypoint guidance: the route's legs, cross-track error and heading command.
+
+Source: Qu & Zhang's equations (32), (33) and (35)-(37).
 
 Positions are (east, north) in metres; headings in rad from north, clockwise; the cross-track error dZ is positive to the left.
 """
@@ -26,7 +28,10 @@ Point = tuple[float, float]
 
 
 class EndOfRoute(StrEnum):
-    """What an aircraft does after its last waypoint: straight on, round again from the first, or circle the last."""
+    """What an aircraft does after its last waypoint.
+
+    STRAIGHT: it flies straight on. LOOP: it flies round again from the first. HOLD: it circles the last.
+    """
 
     STRAIGHT = "straight"
     LOOP = "loop"
@@ -92,7 +97,10 @@ class Circle:
 
 
 class Route:
-    """Waypoints (at least two, no two neighbours equal) and what follows the last: a sequence of tracks numbered from 0."""
+    """A route: waypoints and what follows the last, as tracks numbered from 0.
+
+    There are at least two waypoints, and no two neighbours are equal.
+    """
 
     def __init__(self, waypoints: Sequence[Point], end: EndOfRoute = EndOfRoute.STRAIGHT, hold_radius_m: float = 400.0) -> None:
         self._end = end
@@ -140,8 +148,9 @@ class Guidance:
         self._integral = 0.0
 
     def course_command_rad(self, at: Point, step_s: float) -> float:
-        """Course to make good from a (believed) position, rad (psi_cmd: without wind it is the heading), after switching to
-        the next leg where the waypoint is reached.
+        """Return the course to make good from a (believed) position, rad.
+
+        Where the waypoint is reached, it is the course of the next leg. It is psi_cmd: without wind it is the heading, too.
         """
         track = self.route.track(self.leg_index)
         if isinstance(track, Leg) and not track.endless:
@@ -159,8 +168,9 @@ class Guidance:
 
 
 def heading_for_course(course_rad: float, airspeed_mps: float, wind_east_mps: float, wind_north_mps: float) -> float:
-    """Return the heading (rad) that makes good a course (rad) in a wind that blows towards east, north; without wind it is the
-    course.
+    """Return the heading (rad) that makes good a course (rad) in a wind.
+
+    The wind blows towards east and north. Without wind the heading is the course.
     """
     from_left_mps = wind_east_mps * math.cos(course_rad) - wind_north_mps * math.sin(course_rad)
     return course_rad - math.asin(max(-0.9, min(0.9, from_left_mps / airspeed_mps)))
@@ -177,7 +187,9 @@ PAPER_ROUTES: tuple[tuple[Point, ...], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class NominalFlight:
-    """Flown routes: `times_s` (T,), the rest (V, T) for V aircraft: position (m), velocity over ground (m/s), attitude (rad).
+    """Flown routes of V aircraft.
+
+    `times_s` is (T,), the rest (V, T): position (m), velocity over ground (m/s), attitude (rad).
 
     `psi_rad` is the heading from north, clockwise; `leg` the number of the leg in force, from 0.
     """
@@ -203,7 +215,9 @@ def fly_routes(
     wind_east_mps: float = 0.0,
     wind_north_mps: float = 0.0,
 ) -> NominalFlight:
-    """Fly each route from its first waypoint, heading along its first leg; sample 0 is the start, sample k is k steps later.
+    """Fly each route from its first waypoint, heading along its first leg.
+
+    Sample 0 is the start, sample k is k steps later.
 
     A waypoint is reached within the radius of the tightest turn. The wind is constant and blows towards east and north.
     `step_s` is the guidance's and the samples' step; the aircraft itself is integrated in steps of at most 0.02 s.

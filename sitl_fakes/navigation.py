@@ -1,5 +1,6 @@
-"""The autopilot's own horizontal navigation: airspeed and heading carry it, GPS corrects position, velocity and the wind
-estimate.
+"""The autopilot's own horizontal navigation.
+
+Airspeed and heading carry it on. GPS corrects position, velocity and the wind estimate.
 
 Per axis a Kalman filter with the states position (m) and wind (m/s); velocity over ground is airspeed along heading plus wind.
 East and north are alike and independent, so they share one covariance (2, 2). Without GPS this is dead reckoning: errors of
@@ -26,7 +27,10 @@ _BAROMETER_TIME_S = 5.0  # chosen: below the 7 to 13 s in which a real ArduPlane
 
 @dataclass(slots=True)
 class _Covariance:
-    """Variance of position (m^2), their covariance (m^2/s), variance of wind (m^2/s^2): the same on both axes."""
+    """Variances of position (m^2) and wind (m^2/s^2), and their covariance (m^2/s).
+
+    They are the same on both axes.
+    """
 
     pp: float
     pw: float
@@ -34,7 +38,9 @@ class _Covariance:
 
 
 class HeightFilter:
-    """EKF3's height: the barometer's, and pulled away from it by a receiver's vertical velocity where that is fused.
+    """EKF3's height: the barometer's, pulled away by a receiver's vertical velocity.
+
+    The velocity pulls only where it is fused.
 
     The error e follows de/dt = (velocity given - true climb) - e / tau: the filter integrates the velocity and leans on the
     barometer. A velocity that was worked out of the height that comes out of here closes a loop.
@@ -67,7 +73,9 @@ class HeightFilter:
 
 
 class Navigation:
-    """Position and velocity as one filter believes them (east, north; m, m/s). Before the first fix there is no position.
+    """Position and velocity as one filter believes them (east, north; m, m/s).
+
+    Before the first fix there is no position.
 
     A measurement is taken over whole where nothing was accepted for `reset_after_s`. The heading that it is given (rad) is off
     by `heading_error_rad` more for this filter. `position_ratio` and `velocity_ratio` are the last innovations over the gate,
@@ -124,7 +132,10 @@ class Navigation:
         p.ww += _WIND_NOISE_M2PS3 * step_s
 
     def correct(self, fix: GpsFix, at_s: float) -> None:
-        """Fuse a fix that passed the quality checks: its position brought forward by its age, then its velocity."""
+        """Fuse a fix that passed the quality checks.
+
+        Its position is brought forward by its age and fused first, then its velocity.
+        """
         ve, vn, _ = fix.velocity_enu_mps
         seen = _brought_forward(fix)
         first = self.position_m is None
@@ -166,7 +177,9 @@ class Navigation:
         *,
         gate_sigma: float,
     ) -> bool:
-        """Fuse a slant range (m) to a place (east, north, m) that lies `below_m` lower, as old as `age_s`; True if accepted.
+        """Fuse a slant range (m) to a place (east, north, m); True where it was accepted.
+
+        The place lies `below_m` lower. The range is `age_s` old.
 
         Position and wind move along the line to it. One of the two axes that share a covariance is known better by it.
         """
@@ -196,8 +209,9 @@ class Navigation:
             self.position_m = _brought_forward(fix)
 
     def apply_estimate(self, position_m: tuple[float, float], sigma_m: float, age_s: float) -> None:
-        """Set the position from outside (MAV_CMD_EXTERNAL_POSITION_ESTIMATE), east and north in m as they were `age_s` ago,
-        keeping the wind.
+        """Set the position from outside, and keep the wind.
+
+        It is that of MAV_CMD_EXTERNAL_POSITION_ESTIMATE: east and north in m as they were `age_s` ago.
         """
         ve, vn = self.velocity_mps
         self.position_m = (position_m[0] + ve * age_s, position_m[1] + vn * age_s)

@@ -1,4 +1,7 @@
-"""The autopilot parameters that matter to aiding and its trials, with ArduPilot's or PX4's names and meanings."""
+"""The autopilot parameters that matter to aiding and its trials.
+
+Names and meanings are ArduPilot's or PX4's.
+"""
 
 from __future__ import annotations
 
@@ -103,7 +106,10 @@ class Parameters(Mapping[str, float]):
         return REAL32 if name in _REAL else INT32
 
     def on_the_wire(self, name: str) -> float:
-        """The value as PARAM_VALUE carries it: PX4 puts an integer's bytes into the float field, ArduPilot its number."""
+        """Return the value as PARAM_VALUE carries it.
+
+        PX4 puts an integer's bytes into the float field, ArduPilot its number.
+        """
         if self._kind == "px4" and name not in _REAL:
             return float(struct.unpack("<f", struct.pack("<i", int(self[name])))[0])
         return self[name]

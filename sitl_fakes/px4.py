@@ -1,5 +1,6 @@
-"""PX4 as far as aid from outside goes: no GPS_INPUT, an auxiliary global position, a vision position, ranges, external position
-estimates.
+"""PX4 as far as aiding from outside goes.
+
+It takes no GPS_INPUT. It takes an auxiliary global position, a vision position, ranges and external position estimates.
 
 After PX4's main of August 2026 as flown with SIH: EKF2's AuxGlobalPosition, controlEvPosFusion, its ranging beacons,
 VEHICLE_CMD_EXTERNAL_POSITION_ESTIMATE and handleSensorFusionCommand. A GLOBAL_POSITION_SENSOR is stamped on receipt, and a
@@ -60,8 +61,10 @@ class Px4(Autopilot):
         """Pass over GPS_INPUT: PX4 does not take it."""
 
     def receive_global_position(self, sensor_id: int, position_m: tuple[float, float], eph_m: float, at_s: float) -> None:
-        """Fuse an auxiliary position of the slot's sensor, where EKF2_AGP0_CTRL has it on and `eph_m` is above 0. It moves the
-        estimate by more than the gate only where nothing else has given a position of late.
+        """Fuse an auxiliary position of the slot's sensor.
+
+        EKF2_AGP0_CTRL must have it on, and `eph_m` must be above 0. It moves the estimate by more than the gate only where the
+        own receiver was not used of late.
         """
         if self._slot_off() or sensor_id != self._slot_id or not eph_m > 0.0:
             return
@@ -75,7 +78,9 @@ class Px4(Autopilot):
             self._last_used, self._aux_used_at_s = _AUX, at_s
 
     def receive_vision(self, position_m: tuple[float, float], variance_m2: float, at_s: float) -> None:
-        """Fuse a position of the local frame where EKF2_EV_CTRL has it on, with its own variance unless EKF2_EV_NOISE_MD is 1.
+        """Fuse a position of the local frame, where EKF2_EV_CTRL has that on.
+
+        It has its own variance unless EKF2_EV_NOISE_MD is 1.
 
         The first one sets the estimate. Beside its own receiver they move nothing: EKF2 learns how far they are off then.
         """
@@ -119,7 +124,10 @@ class Px4(Autopilot):
         age_s: float,
         at_s: float,  # noqa: ARG002 - ArduPilot's answer depends on the time
     ) -> int:
-        """Set the position, brought forward by its age, whatever it navigates on: a hard reset, which forgets the wind."""
+        """Set the position, brought forward by its age, whatever it navigates on.
+
+        This is a hard reset, which forgets the wind.
+        """
         self.navigation.apply_estimate(position_m, accuracy_m or _UNKNOWN_ACCURACY_M, min(age_s, _LONGEST_AGE_S))
         self.navigation.forget_wind()
         return ACCEPTED

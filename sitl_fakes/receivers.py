@@ -1,4 +1,6 @@
-"""GPS receivers as ArduPilot sees them: the fix, its age and rhythm, which receiver is in use, what EKF3 demands of it.
+"""GPS receivers as ArduPilot sees them: the fix, its age and rhythm, and which one is in use.
+
+What EKF3 demands of a receiver is here, too.
 
 The rules follow ArduPilot 4.7 (AP_GPS, AP_GPS_MAV, AP_NavEKF3), as measured on its SITL: a fix lingers for 4 s after the last
 message; a mean interval of 215 ms or more, or two intervals over 245 ms in a row, make a receiver unhealthy.
@@ -30,7 +32,9 @@ _IGNORE_VEL_VERT, _IGNORE_SPEED_ACC, _IGNORE_H_ACC, _IGNORE_V_ACC = 16, 32, 64, 
 
 @dataclass(frozen=True, slots=True)
 class GpsFix:
-    """One message of a receiver: position (east, north, up of the scene, m), velocity (same axes, m/s), 1-sigma accuracies.
+    """One message of a receiver: position, velocity and 1-sigma accuracies.
+
+    Position (m) and velocity (m/s) are east, north, up of the scene.
 
     An accuracy or dilution that the receiver does not state is None. `age_s` is the assumed age of the data on arrival.
     """
@@ -97,8 +101,9 @@ def is_injected(instance: int, params: Mapping[str, float]) -> bool:
 
 
 def is_own(instance: int, params: Mapping[str, float]) -> bool:
-    """Whether receiver `instance` (from 0) is the aircraft's own: it is wired to the first port, if that port has a type for
-    it.
+    """Whether receiver `instance` (from 0) is the aircraft's own.
+
+    The aircraft's own is wired to the first port, if that port has a type for it.
     """
     return instance == 0 and params["GPS1_TYPE"] not in (0, _TYPE_MAVLINK)
 
@@ -129,7 +134,10 @@ def not_live(receiver: Receiver, at_s: float) -> str | None:
 
 
 def refusal(receiver: Receiver, params: Mapping[str, float], at_s: float) -> str | None:
-    """Why EKF3 does not start to use the receiver now, or None: rate, fix type, the checks that EK3_GPS_CHECK enables."""
+    """Return why EKF3 does not start to use the receiver now; None where it does.
+
+    It looks at rate, fix type and the checks that EK3_GPS_CHECK enables.
+    """
     dead, fix = not_live(receiver, at_s), receiver.fix
     if dead is not None or fix is None:
         return dead

@@ -45,7 +45,10 @@ class _Table(BaseModel):
 
 
 class Origin(_Table):
-    """Where the scene lies: the point that waypoints are measured from, and mean sea level's height above the ellipsoid there."""
+    """Where the scene lies: the point that waypoints are measured from.
+
+    `geoid_height_m` is the height of mean sea level above the ellipsoid there.
+    """
 
     lat_deg: float = Field(ge=-85.0, le=85.0)
     lon_deg: float = Field(ge=-180.0, le=180.0)
@@ -54,7 +57,10 @@ class Origin(_Table):
 
 
 class Wind(_Table):
-    """Steady wind (`from_deg`: where it comes from, as meteorologists say) and its slow local changes (Gauss-Markov per axis)."""
+    """Steady wind and its slow local changes.
+
+    `from_deg` is where the wind comes from, as meteorologists say. The changes are a Gauss-Markov process per axis.
+    """
 
     speed_mps: _NotNegative = 0.0
     from_deg: float = 0.0
@@ -63,7 +69,9 @@ class Wind(_Table):
 
 
 class Gps(_Table):
-    """The vehicles' own receivers. Sigmas are per axis; `correlation_time_s` 0 makes the position noise white.
+    """The vehicles' own receivers.
+
+    Sigmas are per axis. A `correlation_time_s` of 0 makes the position noise white.
 
     `h_acc`, `v_acc` and `vel_acc` of GPS_RAW_INT state these sigmas.
     """
@@ -79,7 +87,9 @@ class Gps(_Table):
 
 
 class Ranging(_Table):
-    """The ranging devices: rate per peer, noise, bias per pair (drawn once), outliers (always long), loss, message.
+    """The ranging devices: their rate, errors, losses and message.
+
+    The rate is per peer. A bias is drawn once per pair. Outliers are always too long.
 
     With `companion_link` the companion computers that they are wired to have a link of their own to the ground; else their
     messages pass through the autopilots, as far as these forward them.
@@ -106,7 +116,10 @@ class Ranging(_Table):
 
 
 class Telemetry(_Table):
-    """Each vehicle's radio link, both ways: fixed delay, random extra delay (uniform, so datagrams overtake), loss."""
+    """Each vehicle's radio link, both ways: delay and loss.
+
+    `latency_s` is a fixed delay. `jitter_s` bounds a random extra delay (uniform), so that datagrams overtake.
+    """
 
     latency_s: _NotNegative = 0.0
     jitter_s: _NotNegative = 0.0
@@ -114,9 +127,10 @@ class Telemetry(_Table):
 
 
 class DeadReckoning(_Table):
-    """What spoils an autopilot's dead reckoning, each a standard deviation: heading and airspeed errors that stay (drawn once per
-    vehicle), that wander (Gauss-Markov) and that are white; airspeed errors that stay or wander are shares of the airspeed.
-    And the altimeter's slow error.
+    """What spoils an autopilot's dead reckoning; the values are standard deviations.
+
+    Errors of heading and airspeed stay (bias and scale, drawn once per vehicle), wander (Gauss-Markov) or are white. Airspeed
+    errors that stay or wander are shares of the airspeed. `baro_sigma_m` is the altimeter's slow error.
     """
 
     heading_bias_deg: _NotNegative = 1.2
@@ -130,7 +144,9 @@ class DeadReckoning(_Table):
 
 
 class Vehicle(_Table):
-    """One aircraft. Waypoints are [east, north] in metres from the origin; it starts at the first, along the first leg.
+    """One aircraft and the route that it flies.
+
+    Waypoints are [east, north] in metres from the origin. It starts at the first, along the first leg.
 
     One that is not `armed` stands there until it is armed by command.
     """
@@ -165,7 +181,10 @@ STATION_NODES_FROM = 100_000
 
 
 class Station(_Table):
-    """One fixed station that vehicles range: where it stands from the origin, m, and its id, which is no vehicle's."""
+    """One fixed station that vehicles range.
+
+    It stands `east_m` and `north_m` from the origin. Its `id` is a number among stations, not a system id.
+    """
 
     id: int = Field(ge=0, le=65_535)
     east_m: float

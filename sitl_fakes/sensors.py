@@ -1,4 +1,7 @@
-"""What an aircraft measures: its GPS receiver with all that befalls it, air data, heading, altimeter, ranges; and its noise."""
+"""What an aircraft measures: GPS fixes, air data, heading, altitude and ranges.
+
+The noise of the measurements and the faults that distort them are here, too.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +43,10 @@ def stream(seed: int, purpose: Purpose, *keys: int) -> np.random.Generator:
 
 
 class GaussMarkov:
-    """First-order Gauss-Markov process in `axes` dimensions with a stationary sigma; a correlation time of 0 s makes it white."""
+    """First-order Gauss-Markov process in `axes` dimensions.
+
+    Its sigma is stationary. A correlation time of 0 s makes it white.
+    """
 
     def __init__(self, rng: np.random.Generator, sigma: float, correlation_time_s: float, axes: int) -> None:
         self._rng = rng
@@ -105,7 +111,10 @@ class _Jammer:
 
 
 class GpsSensor:
-    """An aircraft's own receiver: white or Gauss-Markov position noise, white velocity noise, faults on top."""
+    """An aircraft's own receiver, with noise and faults.
+
+    The position noise is white or Gauss-Markov, the velocity noise white.
+    """
 
     def __init__(self, settings: Gps, sysid: int, seed: int) -> None:
         self._settings = settings
@@ -116,7 +125,9 @@ class GpsSensor:
         self._last: GpsFix | None = None
 
     def measure(self, position_m: Vector, velocity_mps: Vector, faults: Iterable[Fault], at_s: float) -> GpsFix:
-        """Return the receiver's message now, from the true position and velocity (east, north, up) and the faults in force.
+        """Return the receiver's message now.
+
+        It follows from the true position and velocity (east, north, up) and the faults in force.
 
         A receiver without fix repeats its last position and accuracies with fix type 1 and three satellites.
         """
@@ -172,8 +183,10 @@ def _walked_off(fix: GpsFix, fault: GpsSpoofed, at_s: float) -> GpsFix:
 
 @dataclass(frozen=True, slots=True)
 class AirData:
-    """What the autopilot reads without GPS: airspeed (m/s), roll and heading (rad), barometric altitude above mean sea level
-    (m), rate of climb of its accelerometers (m/s).
+    """What the autopilot reads without GPS.
+
+    Airspeed (m/s), roll and heading (rad), barometric altitude above mean sea level (m), rate of climb of its accelerometers
+    (m/s).
     """
 
     airspeed_mps: float
@@ -184,7 +197,10 @@ class AirData:
 
 
 class AirSensors:
-    """Airspeed, attitude and barometer of one aircraft, with errors that stay (bias, scale), wander and are white."""
+    """Airspeed, attitude and barometer of one aircraft, with their errors.
+
+    Errors stay (bias, scale), wander or are white.
+    """
 
     def __init__(self, settings: DeadReckoning, sysid: int, seed: int) -> None:
         rng = stream(seed, Purpose.AIR_SENSORS, sysid)
@@ -218,7 +234,10 @@ class AirSensors:
 
 @dataclass(frozen=True, slots=True)
 class RangeSample:
-    """One measured range (m) to a peer, with the standard deviation that the device states (m, 0 unknown) and its number."""
+    """One measured range (m) to a peer.
+
+    `stated_sigma_m` is the standard deviation that the device states (0 unknown), `sequence` the number of the range.
+    """
 
     peer: int
     range_m: float
@@ -227,8 +246,9 @@ class RangeSample:
 
 
 class Ranger:
-    """The ranging device of one aircraft: measures to each of its peers in turn, `rate_hz` each, evenly spread over the
-    period.
+    """The ranging device of one aircraft.
+
+    It measures to each of its peers `rate_hz` times a second, evenly spread over the period.
     """
 
     def __init__(self, settings: Ranging, sysid: int, peers: Sequence[int], seed: int) -> None:
@@ -244,8 +264,9 @@ class Ranger:
         }
 
     def measure(self, at_s: float, own_m: Vector, others_m: Mapping[int, Vector], faults: Iterable[Fault]) -> list[RangeSample]:
-        """Return what the device reports at a time: positions are true, east, north, up in m. A peer without one is not
-        there.
+        """Return what the device reports at a time.
+
+        Positions are true, east, north, up in m. A peer without one is not there.
         """
         due = [peer for peer, due_s in self._due_s.items() if due_s <= at_s + _EPSILON_S]
         if not due:

@@ -1,4 +1,6 @@
-"""The scenario on real UDP sockets in real time: a thin layer of asyncio round `Fleet`. Each vehicle has a socket of its own.
+"""The scenario on real UDP sockets in real time: a thin layer of asyncio round `Fleet`.
+
+Each vehicle has a socket of its own.
 
 Aircraft of one scenario may fly in several processes: each then sends the true states of its aircraft by multicast. What a
 ranging device measures depends on the truth at both ends, and an aircraft that flies on GPS_INPUT is nowhere to be computed
@@ -143,7 +145,10 @@ class _Pace:
 
 
 def progress_line(fleet: Fleet) -> str:
-    """One line on where the fleet stands: each vehicle's system id, what it navigates on, how far it is off its route."""
+    """Return one line on where the fleet stands.
+
+    It names each vehicle's system id, what it navigates on and how far it is off its route.
+    """
     vehicles = (f"{t.sysid} {t.source} {t.off_route_m:.0f} m off route" for t in fleet.truth().values())
     return f"t = {fleet.now_s:.0f} s: " + ", ".join(vehicles)
 

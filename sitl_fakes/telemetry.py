@@ -19,7 +19,9 @@ from sitl_fakes.sensors import AirData
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """One vehicle at one moment: its clocks, its autopilot, its air data, and the truth (for the simulator's own messages alone).
+    """One vehicle at one moment: its clocks, its autopilot, its air data and the truth.
+
+    The truth is for the simulator's own messages alone.
 
     `fixed_boot_s` is the boot time of each receiver's last fix, None where there was none. `altitude_m` and `climb_mps` are
     the autopilot's; the barometer's altitude is in `air`. `notices_jamming`, `notices_spoofing`: its own receiver does.
@@ -45,8 +47,9 @@ class Snapshot:
     true_lla: Vector
 
     def reported_position(self) -> tuple[Vector, Vector] | None:
-        """Position (lat deg, lon deg, alt m) and velocity (east, north, up; m/s) that the vehicle reports as its own; None
-        before the first fix.
+        """Return the position and velocity that the vehicle reports as its own.
+
+        Position is latitude, longitude (deg) and altitude (m), velocity east, north, up (m/s). None before the first fix.
         """
         believed = self.autopilot.believed(self.at_s)
         if believed is None:
@@ -136,7 +139,10 @@ def gps2_raw(s: Snapshot) -> Any:
 
 
 def gnss_integrity(s: Snapshot) -> Any:
-    """GNSS_INTEGRITY (441), as PX4 fills it: under its own number of the receiver, what that does not know marked so."""
+    """Build GNSS_INTEGRITY (441), as PX4 fills it.
+
+    It has PX4's own number of the receiver. What PX4 does not know of the receiver is marked unknown.
+    """
     jamming = development.GPS_JAMMING_STATE_DETECTED if s.notices_jamming else development.GPS_JAMMING_STATE_UNKNOWN
     spoofing = development.GPS_SPOOFING_STATE_DETECTED if s.notices_spoofing else development.GPS_SPOOFING_STATE_UNKNOWN
     return development.MAVLink_gnss_integrity_message(

@@ -1,4 +1,7 @@
-"""One simulated vehicle: its flight, GPS and ranging sensors, flight controller and radio link, stepped by simulated time."""
+"""One simulated vehicle, stepped by simulated time.
+
+It has a flight, GPS and ranging sensors, a flight controller and a radio link.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
-"""Hand-written MAVLink 2 frames of the messages that pymavlink's ardupilotmega dialect lacks: PEER_RANGE and RANGING_BEACON.
+"""Hand-written MAVLink 2 frames of messages that pymavlink's ardupilotmega dialect lacks.
 
-Beside them the range as DEBUG_VECT and as NAMED_VALUE_FLOAT, for autopilots that can send nothing else.
+They are PEER_RANGE and RANGING_BEACON. Ranges can also be built as DEBUG_VECT and as NAMED_VALUE_FLOAT, for autopilots that
+can send nothing else.
 
 Written from the messages' definitions, not from the service's code, so that the wire is checked from two sides. Frame
 layout: https://mavlink.io/en/guide/serialization.html.
@@ -87,7 +88,9 @@ def peer_range_frame(
     device_id: int = 0,
     station: int | None = None,
 ) -> bytes:
-    """Pack PEER_RANGE (181600): `time_usec` on the sender's clock, `range_std_m` 0 where unknown, `quality` % or 255.
+    """Pack PEER_RANGE (181600).
+
+    `time_usec` is on the sender's clock. `range_std_m` is 0 where unknown, `quality` in % or 255.
 
     To a `station` (id) `peer_system` is 0, and the extension fields peer_type and peer_station name it.
     """
@@ -109,9 +112,10 @@ def ranging_beacon_frame(
     station: int | None = None,
     station_lla: tuple[float, float, float] | None = None,
 ) -> bytes:
-    """Pack RANGING_BEACON (513) of a `station` with its position `station_lla` (degrees, m above mean sea level).
+    """Pack RANGING_BEACON (513).
 
-    Without one, `beacon_id` is the peer's system id, and the position is marked unknown.
+    `station_lla` is the position of the `station` (degrees, m above mean sea level). Without one, `beacon_id` is the
+    peer's system id, and the position is marked unknown.
     """
     lat_deg, lon_deg, alt_m = station_lla if station_lla is not None else (math.nan, math.nan, math.nan)
     accuracy = round(range_std_m * 1000.0) if range_std_m > 0.0 else _UINT32_UNKNOWN
@@ -137,12 +141,18 @@ def ranging_beacon_frame(
 
 
 def debug_range(time_usec: int, peer_system: int, range_m: float, range_std_m: float, station: int | None = None) -> Any:
-    """Build a range as DEBUG_VECT, named as `named_range` does: x is the range, y its standard deviation (0 unknown)."""
+    """Build a range as DEBUG_VECT, named as `named_range` does.
+
+    x is the range, y its standard deviation (0 unknown).
+    """
     return mavlink.MAVLink_debug_vect_message(_name(peer_system, station).encode(), time_usec, range_m, range_std_m, -1.0)
 
 
 def named_range(boot_s: float, peer_system: int, range_m: float, station: int | None = None) -> Any:
-    """Build a range as NAMED_VALUE_FLOAT, named "RNG" and the peer's system id, or "STN" and the station's id."""
+    """Build a range as NAMED_VALUE_FLOAT.
+
+    Its name is "RNG" and the peer's system id, or "STN" and the station's id.
+    """
     time_boot_ms = int(boot_s * 1000.0) & 0xFFFFFFFF
     return mavlink.MAVLink_named_value_float_message(time_boot_ms, _name(peer_system, station).encode(), range_m)
 
