@@ -1,4 +1,7 @@
-"""Fix acknowledgement: whether a vehicle uses what it is sent, by what it reports of the receiver that we feed, or of its EKF."""
+"""Fix acknowledgement: whether a vehicle uses the fix that it is sent.
+
+The evidence is what the vehicle reports of the receiver that we feed, or the status that its EKF2 reports.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +42,10 @@ class FixFault(WordedReason):
 
 
 class Acknowledgement(ABC):
-    """Whether one vehicle uses what it is sent. `acknowledged` is None until it shows; `fault` says why it is not."""
+    """Whether one vehicle uses what it is sent.
+
+    `acknowledged` is None until the vehicle shows it. `fault` says in words why it does not use what it is sent, None otherwise.
+    """
 
     _what: str
 
@@ -54,7 +60,7 @@ class Acknowledgement(ABC):
         """Add what was sent."""
 
     def review(self, vehicle: ReportedState, now_s: float, *, is_held_back: bool = False) -> tuple[str, str] | None:
-        """Judge; return level and text of a notice, where it has changed.
+        """Update the result by what the vehicle reports; return level and text of a notice that is due.
 
         While what is built `is_held_back`, what the vehicle reports is an answer to somebody else, and nothing is judged.
         """
@@ -88,10 +94,11 @@ class Acknowledgement(ABC):
 
 
 class EkfAcknowledgement(Acknowledgement):
-    """Of a PX4: ESTIMATOR_STATUS reports a global position from GNSS or an auxiliary one; while its own GPS has no fix, ours.
+    """The acknowledgement of a PX4: its EKF2 reports in ESTIMATOR_STATUS what aids it.
 
-    A vision position and ranges count there as a horizontal aid only, as another sensor of the vehicle's may. `unused` is the
-    fault that its status shows.
+    While the vehicle's own GPS has no fix, the aid that EKF2 reports is ours. A global position shows as such. A vision position
+    and ranges show only as a horizontal aid, which may be another sensor of the vehicle. `unused` is the fault that is stated
+    while no aid is reported.
     """
 
     def __init__(self, unused: FixFault) -> None:
@@ -112,7 +119,11 @@ class EkfAcknowledgement(Acknowledgement):
         return self._is_aided(vehicle, now_s) is True
 
     def _is_aided(self, vehicle: ReportedState, now_s: float) -> bool | None:
-        """Return whether our positions aid it; None where none is sent, its own receiver has a fix, or it does not report."""
+        """Return whether our positions aid the EKF2; None where that cannot be told.
+
+        It cannot be told where nothing was sent of late, where the vehicle's own receiver has a fix, or where no status is
+        heard.
+        """
         receiver, ekf = vehicle.receiver, vehicle.ekf
         if now_s - self._sent_at_s > _SENT_WITHIN_S or (receiver is not None and receiver.fix_type >= _HAS_FIX):
             return None
@@ -122,7 +133,10 @@ class EkfAcknowledgement(Acknowledgement):
 
 
 class FixAcknowledgement(Acknowledgement):
-    """Of GPS_INPUT: GPS2_RAW, or GPS_RAW_INT where that is the receiver that we feed, shows the fix that was sent."""
+    """The acknowledgement of GPS_INPUT: the receiver that we feed shows the fix that was sent.
+
+    The vehicle reports that receiver in GPS2_RAW, or in GPS_RAW_INT where we feed the first one.
+    """
 
     _what = "GPS_INPUT"
 

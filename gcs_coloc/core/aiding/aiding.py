@@ -1,4 +1,7 @@
-"""The aiding stage: which vehicle is aided, by which method, and why not; one stream for each vehicle that is."""
+"""The aiding stage: decides which vehicle is aided, by which method, and why one is not.
+
+It keeps one stream for each vehicle to which it sends positions.
+"""
 
 from __future__ import annotations
 
@@ -36,9 +39,9 @@ _STANDBY_STATES = (GpsState.HEALTHY, GpsState.SUSPECT)
 
 
 class Aiding:
-    """Decides on aiding and keeps the streams. What it remembers is private; `review` returns what it decides.
+    """Decides on the aiding of each vehicle and keeps the streams.
 
-    `refused` counts what vehicles refuse.
+    `review` returns each decision. `refused` counts what vehicles refuse.
     """
 
     def __init__(self, settings: AidingSettings) -> None:
@@ -69,11 +72,10 @@ class Aiding:
         self._transmits = False
 
     def hold_back(self, *, held: bool) -> None:
-        """Decide and build as ever, but start no switch while what is built is `held` back.
+        """Set whether what is built is held back, as the other service of a hot standby sends.
 
-        The other service sends then.
-
-        What a vehicle is sent and makes of it is then told by the other service.
+        Aiding decides and builds as ever then, but starts no receiver switch. What a vehicle is sent, and what it makes of it,
+        is told by the other service.
         """
         if self._is_held_back and not held:
             self._alarms.restart()
@@ -107,9 +109,10 @@ class Aiding:
     def review(
         self, vehicle: ReportedState, gps_state: GpsState, now_s: float, *, has_duplicate_id: bool, reports_false_fix: bool
     ) -> AidingDecision:
-        """Begin, change or end the stream of one vehicle by its GPS health, autopilot, route and the operator's override.
+        """Decide on the aiding of one vehicle: begin, change or end its stream.
 
-        `reports_false_fix`: its own receiver has failed and reports a fix all the same, or one that came and went.
+        The decision follows from its GPS health, its autopilot, its route and the operator's override. `reports_false_fix`: its
+        own receiver has failed and reports a fix all the same, or one that came and went.
         """
         sysid, stream, held = vehicle.sysid, self._streams.get(vehicle.sysid), self._is_held_back
         out: list[Outbound] = list(self._foreign.review(sysid, now_s))
@@ -189,7 +192,10 @@ class Aiding:
         utc_minus_service_s: float | None,
         estimate_at: EstimateAt,
     ) -> list[Outbound]:
-        """Build what is due by `now_s`. `inputs` and `estimate_at` give what earlier stages know of a vehicle at a time."""
+        """Build the messages that are due by `now_s`.
+
+        `inputs` returns what earlier stages know of a vehicle, `estimate_at` its estimate at a time. Times are service time, s.
+        """
         out: list[Outbound] = []
         if now_s < self._next_due_s:
             return out

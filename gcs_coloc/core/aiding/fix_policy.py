@@ -1,4 +1,8 @@
-"""Whether an answer may be stated as a fix: alert limit, hysteresis, ranges that fit it, no long life on prediction alone."""
+"""The fix policy: whether an estimate may be stated as a fix.
+
+It checks the protection level against the alert limit, whether the ranges fit the estimate, and for how long the position has
+rested on prediction alone. A lost fix comes back only after it has been sound for a while (hysteresis).
+"""
 
 from __future__ import annotations
 
@@ -21,7 +25,7 @@ _LONGEST_STEP_S = 1.0  # chosen: a host that stood still has not seen more
 
 
 class FixPolicy:
-    """One vehicle's, from the time that its aid begins."""
+    """The fix policy of one vehicle, from the time that its aiding begins."""
 
     def __init__(self, settings: AidingSettings, began_at_s: float) -> None:
         self._settings = settings
@@ -43,12 +47,14 @@ class FixPolicy:
         median_nis: float | None = None,
         range_jump_m: float | None = None,
     ) -> Inhibit | None:
-        """Return why the answer may not be stated as a fix; None where it may. Times never decrease from call to call.
+        """Return why the estimate may not be stated as a fix; None where it may.
 
-        `own_gps`: the vehicle's own receiver is in the answer, so that it needs no ranges. `air_data`: airspeed and bank tell how
-        it moves, so that ranges to one peer, or along one line, do for as long as the bound says. `median_nis`: the median NIS
-        per degree of freedom of its ranges of late, None where there are too few. `range_jump_m`: by what length all of its
-        ranges have just come to be off, None where they have not.
+        Times never decrease from call to call.
+
+        `own_gps`: the vehicle's own receiver is in the estimate, so that it needs no ranges. `air_data`: airspeed and bank show
+        how the vehicle moves, so that ranges to one peer, or along one line, are enough for as long as the protection level
+        allows. `median_nis`: the median NIS per degree of freedom of its ranges of late, None where there are too few.
+        `range_jump_m`: by what length all of its ranges have just come to be off, None where they have not.
         """
         if isinstance(answer, NoEstimate):
             # Not to be located yet is no loss of a fix: the first one is waited for by the vehicle.
@@ -82,12 +88,18 @@ class FixPolicy:
         return self._settings.prediction_s - (now_s - self._ranged_at_s)
 
     def _regain_after_s(self) -> float:
-        """Return for how long a lost fix must be sound: less where all that it lacked was certainty, as in a gap."""
+        """Return for how long a lost fix must be sound before it is stated again, s.
+
+        That is shorter where all that it lacked was certainty, as in a gap of the ranges.
+        """
         after_s = self._settings.regain_after_s
         return min(after_s, _CERTAIN_AFTER_S) if self._only_too_uncertain else after_s
 
     def _update_geometry(self, now_s: float, *, is_determined: bool) -> None:
-        """Count how long the ranges have not fixed its place; in the noise of a moment they may seem to, so that wears off."""
+        """Count for how long the ranges have not determined the horizontal position.
+
+        By chance they may seem to determine it for a moment. So the count then falls gradually, and not to zero at once.
+        """
         passed_s, self._updated_at_s = min(now_s - self._updated_at_s, _LONGEST_STEP_S), now_s
         change_s = -_WEARS_OFF * passed_s if is_determined else passed_s
         self._undetermined_s = min(max(self._undetermined_s + change_s, 0.0), self._settings.prediction_s + passed_s)
@@ -109,7 +121,10 @@ class FixPolicy:
 
 
 def _is_determined(answer: Estimate) -> bool:
-    """Whether the ranges in use tell both horizontal coordinates, so that it does not hang on what is assumed of the motion."""
+    """Return whether the ranges in use determine both horizontal coordinates.
+
+    If they do not, the position depends on what is assumed of the motion.
+    """
     return answer.ranges_in_use >= 2 and (answer.hdop is None or answer.hdop <= _MOST_DETERMINED_HDOP)
 
 
@@ -121,7 +136,10 @@ _MOST_SPEED_ACC_MPS, _MOST_H_ACC_M, _MOST_V_ACC_M = 1.0, 5.0, 7.5  # where SCALE
 
 @dataclass(frozen=True, slots=True)
 class EkfGates:
-    """The checks of one vehicle: `checks` is the bit mask EK3_GPS_CHECK, `scale_percent` widens those of accuracy."""
+    """The checks by which one vehicle's EKF3 decides whether it aligns on a GPS fix.
+
+    `checks` is the bit mask EK3_GPS_CHECK. `scale_percent` is EK3_CHECK_SCALE, which widens the limits of accuracy.
+    """
 
     checks: int
     scale_percent: float
@@ -138,7 +156,7 @@ class EkfGates:
         return _MOST_SPEED_ACC_MPS * self.scale_percent / 100.0 if self.checks & _SPEED else None
 
     def refusal(self, fix: GpsInput) -> str | None:
-        """Which of a fix's numbers the EKF does not take, in words; None where it takes all."""
+        """Return which of a fix's numbers the EKF does not take, in words; None where it takes all."""
         if self.checks & _SATELLITES and fix.satellites < _LEAST_SATELLITES:
             return f"{fix.satellites} satellites, it wants {_LEAST_SATELLITES}"
         if self.most_position_m is not None:

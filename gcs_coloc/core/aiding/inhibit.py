@@ -76,7 +76,10 @@ class _Other:
 
 
 class ForeignGpsInputMonitor:
-    """Which vehicles somebody else feeds on the receiver instance that we feed; what feeds another one is no rival."""
+    """Which vehicles get GPS_INPUT from another sender for the receiver that we feed.
+
+    A sender that feeds another receiver of the vehicle does not matter.
+    """
 
     def __init__(self, settings: AidingSettings) -> None:
         self._gps_id = settings.gps_id
@@ -94,7 +97,10 @@ class ForeignGpsInputMonitor:
             other.sender, other.heard_at_s = message.sysid, message.received_at_s
 
     def review(self, sysid: int, now_s: float) -> list[Notice]:
-        """What is to be told of a vehicle's other sender: once when it is there, and when it has been gone for a while."""
+        """Return the notice that is due about another sender of GPS_INPUT to a vehicle.
+
+        One is due when the sender is heard first, and one when it has been silent for `stand_down_s`.
+        """
         other = self._others.get(sysid)
         if other is None:
             return []
@@ -119,10 +125,12 @@ _STAYS_WITH_ITS_OWN = (0.0, 4.0)  # the primary receiver only; the primary one w
 
 
 class Standby:
-    """Which vehicles may be streamed their own estimate while they are healthy, so that they arm and fail over without a gap.
+    """Which healthy vehicles may be streamed their own estimate (standby).
 
-    It is safe only while the autopilot stays with its own receiver: one that may change over to ours would report our estimate
-    as its own position, which would then hold itself up. So its parameters are read first.
+    They then arm with the receiver that we feed, and fail over to it without a gap.
+
+    Standby is safe only while the autopilot stays with its own receiver. One that may change over to ours would report our
+    estimate as its own position, and the estimate would then confirm itself. So the parameters of the vehicle are read first.
     """
 
     def __init__(self, gps_id: int, parameters: Parameters) -> None:
@@ -131,7 +139,10 @@ class Standby:
         self._obstacles: dict[int, Inhibit] = {}
 
     def review(self, sysid: int, now_s: float) -> tuple[Inhibit | None, list[Notice]]:
-        """Return why a vehicle gets no stream on standby, None where it may, and the notice of it once."""
+        """Return why a vehicle gets no stream on standby, and the notice of that.
+
+        None where it may have one. The notice comes once for each reason.
+        """
         for name in (_AUTO_SWITCH, GPS_PRIMARY):
             self._parameters.request(sysid, name, now_s)
         obstacle, before = self._obstacle(sysid), self._obstacles.pop(sysid, None)
@@ -143,7 +154,7 @@ class Standby:
         return obstacle, [Notice(now_s, sysid, "warning", f"no standby: {obstacle.text}")]
 
     def obstacle(self, sysid: int) -> Inhibit | None:
-        """Return why a vehicle had no stream on standby at its last review; None where nothing stood against it."""
+        """Return why a vehicle got no stream on standby at its last review; None where it might."""
         return self._obstacles.get(sysid)
 
     def _obstacle(self, sysid: int) -> Inhibit | None:
@@ -156,7 +167,10 @@ class Standby:
 
 
 class InhibitAlarms:
-    """Alarms that a vehicle needs aid and cannot have it, once for each reason; told anew by a service that takes over."""
+    """The alarms that a vehicle needs aiding and cannot have it, one for each reason.
+
+    A service that takes over raises them again.
+    """
 
     def __init__(self) -> None:
         self._reported: dict[int, Inhibit | None] = {}

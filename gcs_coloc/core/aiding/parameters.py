@@ -1,4 +1,7 @@
-"""Parameters of the vehicles: requested a few times where somebody wants to know one, and kept as they were told last."""
+"""Parameters of the vehicles: requested when they are needed, and kept as last reported.
+
+Each request is repeated a few times while no answer comes.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,10 @@ class Parameters:
         self._unanswered: set[tuple[int, str]] = set()
 
     def request(self, sysid: int, name: str, now_s: float) -> None:
-        """Request a parameter where it is not known or was told long ago: somebody else may have changed it since."""
+        """Request a parameter that is not known, or was reported long ago.
+
+        Somebody else may have changed it since. `due` returns the request.
+        """
         key = (sysid, name)
         known, pending = self._known.get(key), self._requested.get(key)
         if known is not None and now_s - known.received_at_s < _FRESH_S:
@@ -45,22 +51,25 @@ class Parameters:
             self._requested[key].tries, self._requested[key].due_s = _READ_TRIES, message.received_at_s + _FRESH_S
 
     def forget(self, sysid: int) -> None:
-        """The vehicle was rebooted: what it told before may hold no more."""
+        """Forget the parameters of a vehicle that was rebooted: they may have changed."""
         self._known = {key: value for key, value in self._known.items() if key[0] != sysid}
         self._requested = {key: pending for key, pending in self._requested.items() if key[0] != sysid}
         self._unanswered = {key for key in self._unanswered if key[0] != sysid}
 
     def value(self, sysid: int, name: str) -> float | None:
-        """What a parameter was when it was told last; None where it never was."""
+        """Return the value of a parameter as last reported; None where it never was."""
         known = self._known.get((sysid, name))
         return known.value if known is not None else None
 
     def is_settled(self, sysid: int, name: str) -> bool:
-        """Whether a parameter is known, or was asked for in vain as often as is asked: the vehicle does not have it."""
+        """Return whether a parameter is known, or was requested in vain.
+
+        A vehicle that answers no request for a parameter counts as not having it.
+        """
         return (sysid, name) in self._known or (sysid, name) in self._unanswered
 
     def due(self, now_s: float) -> list[ParameterRequest]:
-        """The requests that are to be asked by now."""
+        """Return the requests that are to be sent by now."""
         out = []
         for (sysid, name), pending in self._requested.items():
             if pending.tries < _READ_TRIES and now_s >= pending.due_s:

@@ -19,7 +19,9 @@ HORIZONTAL = 1
 
 
 def px4_method(value: Callable[[str], float | None]) -> AidingMethodName:
-    """Return the method that a PX4 with these parameters takes (None: it does not have one); "auto" where it takes none.
+    """Return the aiding method that a PX4 takes, by its parameters; "auto" where it takes none.
+
+    `value` returns a parameter by its name, None where the vehicle does not have it.
 
     GLOBAL_POSITION_SENSOR is received since EKF2_AGP0_CTRL exists (2026). EKF2_AGP_CTRL of 1.15 to 1.17 is not that way in.
     """
@@ -40,7 +42,10 @@ class Px4Methods:
         self._origin_due_s: dict[int, float] = {}
 
     def review(self, sysid: int, chosen: AidingMethodName, now_s: float) -> list[OriginRequest]:
-        """Request what a vehicle's method needs: parameters until they show one ("auto" is chosen), the origin for vision."""
+        """Request what a vehicle's method needs; return the request for its origin, if one is due.
+
+        Where `chosen` is "auto", parameters are requested until they show a method. Vision positions need the origin.
+        """
         if chosen == "auto":
             if self.method(sysid) == "auto" or not self._answered(sysid):
                 for name in self._names(sysid):
@@ -71,7 +76,7 @@ class Px4Methods:
         return method if self._answered(sysid) else "global_position_sensor"
 
     def is_settled(self, sysid: int) -> bool:
-        """Return whether a vehicle has told the parameters that decide on its method, or was asked for them in vain."""
+        """Return whether the parameters that decide on a vehicle's method are known or asked for in vain."""
         return all(self._parameters.is_settled(sysid, name) for name in self._names(sysid))
 
     def _answered(self, sysid: int) -> bool:

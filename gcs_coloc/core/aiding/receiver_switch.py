@@ -1,7 +1,8 @@
-"""The switch by which a vehicle leaves its own receiver, which is faulty, and flies on the position that it is sent.
+"""The receiver switch: a vehicle leaves its own faulty receiver and flies on our position.
 
-An autopilot goes back to a jammed or spoofed receiver as long as that reports a fix: ArduPilot while it is the primary one, PX4
-fuses it beside ours. Each step is confirmed by the vehicle, tried a few times, and told; what was before is given back.
+An autopilot goes back to a jammed or spoofed receiver as long as that reports a fix. ArduPilot does so while it is the primary
+one. PX4 fuses it beside ours. Each step of the switch is tried a few times, confirmed by the vehicle, and told to the operator.
+In the end everything is restored as it was before.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ Order = ParameterRequest | ParameterSet | SensorEnable
 
 
 class OwnReceiver(Protocol):
-    """The orders by which one vehicle's own receiver is left and taken again, what its answers mean, and the wordings."""
+    """One vehicle's own receiver: orders that take it out of use and back, and what answers mean."""
 
     first_step: SwitchStep
 
@@ -63,7 +64,10 @@ class OwnReceiver(Protocol):
         """Return what is sent in a step that waits for an answer."""
 
     def answer(self, step: SwitchStep, message: ParameterValue | CommandResult) -> ReceiverAnswer | None:
-        """Return what a message says of the receiver; None where it is about something else. Keeps what was before."""
+        """Return what a message says of the receiver; None where it is about something else.
+
+        It keeps what restores the receiver.
+        """
 
     def wording(self, step: SwitchStep, answer: ReceiverAnswer | None) -> str:
         """Return what is told of an answer in a step, or of none (None) after all tries."""
@@ -73,7 +77,10 @@ class OwnReceiver(Protocol):
 
 
 class PrimaryParameter:
-    """ArduPilot: GPS_PRIMARY is set to the receiver that we feed, and restored to the value that was read before."""
+    """The own receiver of an ArduPilot, switched by the parameter GPS_PRIMARY.
+
+    GPS_PRIMARY is set to the receiver that we feed, and restored to the value that was read before.
+    """
 
     first_step = SwitchStep.READING
 
@@ -126,7 +133,10 @@ class PrimaryParameter:
 
 
 class EstimatorSensor:
-    """PX4: a command switches its own GPS off in EKF2, and on again. Not every firmware knows it."""
+    """The own receiver of a PX4, switched off in EKF2 and on again by a command.
+
+    Not every firmware knows the command.
+    """
 
     first_step = SwitchStep.SETTING
 
@@ -178,14 +188,20 @@ class _Switch:
 
 
 class ReceiverSwitch:
-    """The switches of one fleet. `review` each vehicle several times a second; `add_answer` takes what vehicles answer."""
+    """The receiver switches of one fleet.
+
+    Call `review` for each vehicle several times a second, and `add_answer` for what vehicles answer.
+    """
 
     def __init__(self, gps_id: int) -> None:
         self._gps_id = gps_id
         self._switches: dict[int, _Switch] = {}
 
     def holds(self, sysid: int) -> bool:
-        """Return whether its own receiver is out of use by us, or may be: what it reports of itself is then an echo."""
+        """Return whether a vehicle's own receiver is out of use by our doing, or may be.
+
+        What the vehicle reports of itself is then an echo of our fix.
+        """
         switch = self._switches.get(sysid)
         return switch is not None and switch.is_held
 
@@ -198,7 +214,10 @@ class ReceiverSwitch:
         return tuple(switch.receiver.before() for switch in self._switches.values() if switch.is_held)
 
     def adopt(self, receiver: SwitchedReceiver, now_s: float, *, held: bool) -> None:
-        """Take a switch of the other service for ours, so that it is held on or restored; or (`held` False) forget it."""
+        """Take over a switch of the other service, to keep or to restore it.
+
+        With `held` False, forget the switch.
+        """
         sysid = receiver.sysid
         if not held:
             self._switches.pop(sysid, None)
@@ -215,7 +234,10 @@ class ReceiverSwitch:
         return switch.step.value if switch is not None else None
 
     def review(self, sysid: int, autopilot: Autopilot | None, now_s: float, *, wanted: bool) -> list[Order | Notice]:
-        """Return the next step, if one is due, towards what is wanted: its own receiver out of use, or in use as before."""
+        """Return the next order for a vehicle's receiver, or a notice, where one is due.
+
+        `wanted`: its own receiver is to be out of use; else it is to be in use as before.
+        """
         switch = self._switches.get(sysid)
         if switch is None:
             if not wanted:

@@ -1,4 +1,4 @@
-"""The aiding stream to one vehicle: its schedule, the policy on its fixes, and whether the vehicle acknowledges them."""
+"""The aiding stream to one vehicle: its schedule, its fix policy and its acknowledgement."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ class AidingStream:
         """Change the purpose."""
         if purpose is not self._purpose:
             if self._purpose is Purpose.STANDBY:
-                # What standby repeated of its own receiver, and lost, is no flicker of the aid that begins.
+                # On standby the fix was the vehicle's own: that it was lost is no flicker of the aid that begins.
                 self._policy = FixPolicy(self._settings, now_s)
             self._purpose, self._purpose_since_s = purpose, now_s
 
@@ -158,11 +158,13 @@ class AidingStream:
     ) -> list[Outbound]:
         """Build what is due at `now_s`: the method's messages, and a notice where the fix is gained or lost.
 
-        No such notice while what is built `is_held_back`, as nobody is sent it; what holds is told once it is sent.
+        While what is built `is_held_back` nobody is sent it, so there is no such notice. What holds is told once it is sent.
 
-        Deadlines keep the fleet's schedule, so that all vehicles' are due at once; those that a late call has missed are left
-        out. The vehicle takes the data to be `age_s` old when they arrive, so the estimate is for as much later as the link takes
-        at least; what a message takes longer, a driver finds by the time in it.
+        Deadlines keep the fleet's schedule, so that all vehicles' are due at once. Those that a late call has missed are left
+        out.
+
+        The vehicle takes the data to be `age_s` old when they arrive. So the estimate is for a time that is later by the least
+        delay of the link. By how much a message takes longer than that, the vehicle's driver finds from the time in it.
         """
         self.due_s = self._schedule.after(now_s, self._period_s)
         sysid = self._sysid
@@ -211,7 +213,9 @@ class AidingStream:
         return out + self._tell_of_fix(now_s) + self._tell_of_prediction(now_s)
 
     def wants_switch(self, override: PrimaryOverride, *, is_switching: bool, is_lost: bool) -> bool:
-        """Return whether it is to fly on our fix alone: begun only where it acknowledges that, kept while aid lasts.
+        """Return whether the vehicle is to fly on our fix alone, without its own receiver.
+
+        That begins only where the vehicle acknowledges our fix, and lasts as long as its aid.
 
         `is_switching`: that has begun. `is_lost`: its own receiver has failed, so that whatever fix it reports next is not to be
         followed until it is tested. An ArduPilot takes that fix at once, and goes back to its own receiver by itself should our
@@ -250,7 +254,10 @@ class AidingStream:
         return [Notice(now_s, self._sysid, "warning", text)]
 
     def _tell_of_prediction(self, now_s: float) -> list[Outbound]:
-        """Return the warning that ranges have ceased, while there is time to act; PX4 goes into failsafe 5 s after its aid."""
+        """Return the warning that ranges have ceased, or the notice that they have come back.
+
+        The warning leaves time to act: PX4 goes into failsafe 5 s after its aid ends.
+        """
         was_told = self._told_prediction
         self._told_prediction = self._is_predicting
         if self._is_predicting and not was_told:

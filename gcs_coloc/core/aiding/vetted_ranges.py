@@ -1,4 +1,7 @@
-"""Vetted ranges: those of denied vehicles that the estimator used, to nodes whose positions are trusted."""
+"""Vetted ranges: ranges to trusted nodes that the estimator has used.
+
+They are kept for the vehicles that are handed ranges.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,10 @@ _MAX_READY = 64
 
 
 class VettedRange(NamedTuple):
-    """A range of a denied vehicle to a node: when it was measured (service time, s), its length and 1-sigma, m."""
+    """A vetted range of a vehicle to a node.
+
+    `measured_at_s` is service time. `sigma_m` is 1-sigma.
+    """
 
     peer: int
     measured_at_s: float
@@ -24,7 +30,10 @@ class VettedRange(NamedTuple):
 
 
 class VettedRanges:
-    """The vetted ranges that nobody has got yet, of the vehicles that `wants` them by their system ids."""
+    """The vetted ranges that have not been handed over yet.
+
+    `wants` says of a system id whether that vehicle is handed ranges.
+    """
 
     def __init__(self, wants: Callable[[int], bool]) -> None:
         self._wants = wants
@@ -40,7 +49,10 @@ class VettedRanges:
             self._waiting.popitem(last=False)
 
     def add_residuals(self, residuals: Iterable[Residual], is_trusted: Callable[[int], bool]) -> None:
-        """Add what the estimator made of ranges. One that it refused, or to a node that is not trusted, is left out."""
+        """Add what the estimator made of ranges: those that it used become vetted ones.
+
+        A range to a node that is not trusted is left out.
+        """
         if not self._waiting:
             return
         for r in residuals:

@@ -44,7 +44,10 @@ class GpsInputMethod:
 
     @property
     def age_s(self) -> float:
-        """As the protocol says: GPS2_DELAY_MS (GPS1_ for the first receiver) where it is above 0, else `lag_s`."""
+        """The age that the vehicle takes GPS_INPUT to have when it arrives, s.
+
+        It is GPS2_DELAY_MS (GPS1_DELAY_MS for the first receiver) where that is above 0, else `lag_s`.
+        """
         delays_ms = (self._parameters.value(self._sysid, name) for name in DELAY_MS[self._gps_id])
         return next((min(ms, _MOST_DELAY_MS) / 1e3 for ms in delays_ms if ms is not None and ms > 0.0), self._lag_s)
 
@@ -155,11 +158,13 @@ _FINE_FOR_S = 5.0  # chosen: longer than for coarse, so that the methods do not 
 
 
 class GpsInputOrExternalMethod:
-    """GPS_INPUT, and external estimates beside it while the vehicle's EKF is not aligned and would not align on GPS_INPUT.
+    """GPS_INPUT, with external position estimates beside it where the fix is too coarse.
+
+    The estimates are sent while the vehicle's EKF has no absolute position and would not align on GPS_INPUT.
 
     EKF3's limits hold for (re)alignment alone: once it has an absolute position it fuses a GPS of any stated accuracy, and
-    refuses every estimate. A vehicle that accepts the estimates does not use our GPS_INPUT: that goes on with fix_type 1, so that
-    the two are never used in turns.
+    refuses every estimate. A vehicle that accepts the estimates does not use our GPS_INPUT. That goes on with fix_type 1, so
+    that the two are never used in turns.
     """
 
     def __init__(self, context: MethodContext) -> None:
@@ -219,7 +224,10 @@ class GpsInputOrExternalMethod:
         return self._gps.without_fix()
 
     def _update_coarse(self, message: GpsInput, now_s: float) -> list[AidingMessage | Notice]:
-        """Whether the fix is coarse for the vehicle's EKF; it must be, or not be, for a while before it counts."""
+        """Update whether the fix is too coarse for the vehicle's EKF; return the notice of a change.
+
+        A fix must be coarse for `_COARSE_FOR_S`, or fine for `_FINE_FOR_S`, before it counts as that.
+        """
         refusal = self._gates().refusal(message)
         if (refusal is None) == (self._coarse is None):
             self._changing_since_s = None

@@ -1,4 +1,7 @@
-"""What every aiding method is: a builder of messages for one vehicle, from one estimate under one policy."""
+"""The protocol of an aiding method, which builds the messages that aid one vehicle.
+
+A method builds them from one estimate. The fix policy decides whether that may be stated.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,10 @@ from gcs_coloc.core.reasons import CoreRefusal
 
 @dataclass(frozen=True, slots=True)
 class MethodContext:
-    """What a method is made from: the vehicle, the settings, its parameters, the count of what it refuses, and known origins."""
+    """What an aiding method of one vehicle is made from.
+
+    `refused` counts what vehicles refuse. `origins` are the origins that vehicles report of their local frames, by system id.
+    """
 
     sysid: int
     first_heard_s: float

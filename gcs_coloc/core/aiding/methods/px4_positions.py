@@ -1,4 +1,7 @@
-"""The positions that PX4 fuses as they arrive: GLOBAL_POSITION_SENSOR, and VISION_POSITION_ESTIMATE of 1.14 to 1.17."""
+"""The position messages that PX4 fuses as they arrive.
+
+They are GLOBAL_POSITION_SENSOR, and VISION_POSITION_ESTIMATE for PX4 1.14 to 1.17.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +23,14 @@ _MOST_CORRELATION_S = 20.0  # chosen: what is the same for longer is a bias, whi
 
 
 class CorrelatedPositions:
-    """How much too sure a filter is that takes our positions, whose errors last for seconds, for independent ones.
+    """The factor by which the 1-sigma of our positions is widened, as their errors are correlated.
 
-    EKF2 took ten a second so, was 3.5 to 7 times too sure, and then refused them. Where an estimate keeps its covariance P while
-    a prediction by t would have P(t) > P, new ranges make up the difference: of the error a share rho = P / P(t) is left. Of n
-    positions with that correlation from one to the next, n (1 - rho) / (1 + rho) are independent ones.
+    The errors last for seconds, and a filter that takes the positions for independent ones becomes too sure. EKF2 took ten a
+    second, was 3.5 to 7 times too sure, and then refused them.
+
+    Where an estimate keeps its covariance P while a prediction by t would have P(t) > P, new ranges make up the difference: a
+    share rho = P / P(t) of the error is left. Of n positions with that correlation from one to the next, n (1 - rho) / (1 + rho)
+    are independent ones.
     """
 
     def __init__(self, period_s: float) -> None:
@@ -51,7 +57,10 @@ def _horizontal_m2(estimate: Estimate) -> float:
 
 
 class _FusedPosition(ABC):
-    """A message which PX4 stamps when it arrives; it cannot say that there is no fix, so then nothing is sent."""
+    """A method whose position message PX4 stamps when it arrives.
+
+    The message cannot say that there is no fix, so nothing is sent then.
+    """
 
     age_s = 0.0
 
@@ -133,9 +142,10 @@ class VisionPositionMethod(_FusedPosition):
 
 
 def px4_local_m(origin: GlobalOrigin, lat_deg: float, lon_deg: float) -> tuple[float, float]:
-    """Return north and east of the origin, m, in PX4's projection: azimuthal equidistant on a sphere (lib/geo MapProjection).
+    """Return how far north and east of an origin a place lies, m, in PX4's own projection.
 
-    On the ellipsoid a kilometre is up to 3 m longer or shorter.
+    The projection is azimuthal equidistant on a sphere (lib/geo, MapProjection). On the ellipsoid a kilometre is up to 3 m
+    longer or shorter.
     """
     lat, lat_0, dlon = radians(lat_deg), radians(origin.lat_deg), radians(lon_deg - origin.lon_deg)
     arc = acos(min(max(sin(lat_0) * sin(lat) + cos(lat_0) * cos(lat) * cos(dlon), -1.0), 1.0))

@@ -1,6 +1,7 @@
-"""RANGING_BEACON: vetted ranges with the positions of their other ends, for PX4's EKF2, which fuses ranges itself.
+"""RANGING_BEACON: hands vetted ranges, with the positions of the peers, to PX4's EKF2.
 
-Each range carries its own uncertainty, so one helps where no position can be stated: EKF2 is corrected along it.
+EKF2 fuses the ranges itself. Each range carries its own uncertainty, so that even one helps where no position can be stated:
+EKF2 is corrected along its direction.
 """
 
 from __future__ import annotations
@@ -30,17 +31,20 @@ _HANDED_S = 2.0
 """Chosen: for so long after the last message ranges count as being handed over."""
 _VEHICLE_IDS_FROM = 256  # chosen: above the 8-bit ids of ground stations
 _VEHICLE_IDS = MAX_STATION_ID + 1 - _VEHICLE_IDS_FROM
-"""beacon_id of vehicle N is this plus N, apart from the ids of stations below it. EKF2 does not tell beacons apart."""
+"""How many beacon_id are left for vehicles. Vehicle N has `_VEHICLE_IDS_FROM` + N, so that it is not taken for a station.
+EKF2 does not tell beacons apart."""
 _STOPPING = (InhibitReason.RANGES_INCONSISTENT, InhibitReason.RANGES_JUMPED)
 """While the ranges themselves may be wrong none is handed over; every other reason concerns the position alone."""
 _LEAST_DISTANCE_M = 1.0  # below it the direction of a range is noise
 
 
 class RangingBeaconMethod:
-    """RANGING_BEACON, one range each `PERIOD_S`, stamped by the vehicle's own boot clock, which PX4 does not convert.
+    """RANGING_BEACON, one range each `PERIOD_S`, stamped by the vehicle's own boot clock.
 
-    Ranges to several peers are measured at nearly one time, and arrive late. Each is brought to the time of its stamp: longer by
-    what the estimates say that the distance has grown by since.
+    PX4 does not convert the stamp.
+
+    Ranges to several peers are measured at nearly one time, and arrive late. So each is brought to the time of its stamp: it is
+    lengthened by what the distance has grown since, as the estimates say.
     """
 
     age_s = 0.0
@@ -76,7 +80,10 @@ class RangingBeaconMethod:
         return [message]
 
     def _message(self, one: VettedRange, at_s: float, moment: Moment) -> RangingBeacon | None:
-        """Build the message of a range, brought to a time; None where the vehicle's clock or what that needs is not known."""
+        """Build the message of a range that is brought to a time (service time, s).
+
+        None where the vehicle's clock is not known, the peer is not located, or the range cannot be brought to that time.
+        """
         assert moment.frame is not None
         boot_s = moment.boot_s(at_s)
         peer = moment.locate_node(one.peer, at_s)
@@ -105,9 +112,10 @@ class RangingBeaconMethod:
 
     @staticmethod
     def _brought(one: VettedRange, peer: Estimate, at_s: float, moment: Moment) -> tuple[float, float] | None:
-        """Return a range brought to a time, m, and its variance with the peer's, m^2; None where that cannot be done.
+        """Return a range brought to a time, m, and its variance, m^2; None where that cannot be done.
 
-        What is measured at that time needs no estimate of the vehicle.
+        The variance includes that of the peer's position. A range that was measured at that very time needs no estimate of the
+        vehicle.
         """
         own, own_then = moment.locate(at_s), moment.locate(one.measured_at_s)
         if not isinstance(own, Estimate) or not isinstance(own_then, Estimate):

@@ -19,10 +19,11 @@ from gcs_coloc.core.reasons import StatedReason
 
 @dataclass(frozen=True, slots=True)
 class MethodEntry:
-    """One method: how to make it for a vehicle, whether it feeds a GPS receiver of the vehicle (GPS_INPUT) or PX4's EKF2.
+    """One aiding method: how to make it for a vehicle, and what it feeds there.
 
-    `heeds_target`: its message is heeded by its target alone, so that it works behind a router. `period_s`: its own time between
-    messages, where that is not the settings'.
+    `feeds_receiver`: a GPS receiver of the vehicle (GPS_INPUT). `feeds_ekf2`: PX4's EKF2. `heeds_target`: only the vehicle that
+    a message names heeds it, so that the method works behind a router. `period_s`: its own time between messages, s; None where
+    the settings have it.
     """
 
     make: Callable[[MethodContext], AidingMethod]
