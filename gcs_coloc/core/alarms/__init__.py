@@ -1,1 +1,4 @@
-"""What is wrong, as people are told of it: alarms with a life, texts for ground tools, each vehicle's traffic light."""
+"""Alarms: what is wrong with the fleet, as people are told of it.
+
+They have a life, texts for ground tools, and a traffic light for each vehicle.
+"""

@@ -1,6 +1,7 @@
-"""Alarms of a fleet: raised while a condition holds, over when it ends, closed once a person has acknowledged them.
+"""The alarms of a fleet, and the traffic light of each vehicle.
 
-The traffic light of a vehicle shows its most serious condition.
+An alarm is raised while a condition holds, over when it ends, and closed once a person has acknowledged it. The traffic light of
+a vehicle shows its most serious condition.
 
 The states are those of alarm management (ANSI/ISA-18.2), without shelving.
 """
@@ -67,8 +68,9 @@ class AlarmState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """What is wrong with a vehicle now. `level` is `warning` or `error`, `action` what a person is to do, `brief` the text for
-    a small display.
+    """What is wrong with a vehicle now.
+
+    `level` is `warning` or `error`. `action` is what a person is to do. `brief` is the text for a small display.
     """
 
     kind: AlarmKind
@@ -103,9 +105,9 @@ class Alarm:
 
 
 def conditions(v: VehicleSnapshot, loop_lag_s: float) -> list[Condition]:
-    """What is wrong with a vehicle, the most serious first.
+    """Return what is wrong with a vehicle, the most serious first.
 
-    `loop_lag_s` is by how much the host runs the service late: so long a silence is the host's, and so is the delay.
+    `loop_lag_s` is by how much the host runs the service late. So long a silence, and the delay, are then the host's.
     """
     gps = _gps_condition(v)
     found = [gps] if gps is not None else []
@@ -121,7 +123,10 @@ def conditions(v: VehicleSnapshot, loop_lag_s: float) -> list[Condition]:
 
 
 def traffic_light(v: VehicleSnapshot, loop_lag_s: float) -> tuple[LightColour, str]:
-    """The colour for one vehicle and the reason in words: its most serious condition, from which its alarm is as well."""
+    """Return the colour of one vehicle's traffic light, and the reason in words.
+
+    Both come from its most serious condition, as its alarm does.
+    """
     found = conditions(v, loop_lag_s)
     if found:
         return ("bad" if found[0].level == "error" else "caution"), found[0].text
@@ -198,7 +203,10 @@ def _action_without_gps(v: VehicleSnapshot) -> str:
 
 
 class AlarmList:
-    """The alarms of one fleet, one for each vehicle and kind; every method returns those that have changed."""
+    """The alarms of one fleet, one for each vehicle and kind.
+
+    Every method that changes alarms returns those that have changed.
+    """
 
     def __init__(self) -> None:
         self._alarms: dict[tuple[int | None, AlarmKind, str], Alarm] = {}
@@ -243,7 +251,10 @@ class AlarmList:
         return changed
 
     def add_notice(self, notice: Notice) -> list[Alarm]:
-        """Raise an alarm for a notice that is no mere information; it is over at once. Alike ones are one alarm."""
+        """Raise an alarm for a notice of level `warning` or `error`; it is over at once.
+
+        Notices that differ in their numbers alone share one alarm.
+        """
         if notice.level == "info":
             return []
         key = (notice.sysid, AlarmKind.NOTICE, re.sub(r"[\d.]+", "#", notice.text))
@@ -266,7 +277,10 @@ class AlarmList:
         return []
 
     def _hold(self, key: tuple[int | None, AlarmKind, str], condition: Condition, at_s: float) -> list[Alarm]:
-        """The condition holds at `at_s`: raise its alarm, or bring it up to date. A change of words alone is none."""
+        """Raise the alarm of a condition that holds at `at_s`, or bring it up to date.
+
+        Return it where it has changed. A change of words alone is no change.
+        """
         alarm = self._alarms.get(key)
         if alarm is None:
             self._newest_id += 1

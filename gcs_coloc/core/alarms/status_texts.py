@@ -1,4 +1,7 @@
-"""Status texts: what ground tools such as QGroundControl are told of alarms, in few words and at a bounded rate."""
+"""Status texts: what ground tools such as QGroundControl are told of alarms.
+
+The texts are short, and their rate is bounded.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +45,10 @@ class _Sent:
 
 
 class StatusTexts:
-    """The changes of alarms that ground tools are still to be told. Of one alarm only the newest change waits."""
+    """The changes of alarms that ground tools are still to be told.
+
+    Only the newest change of each alarm waits.
+    """
 
     def __init__(self) -> None:
         self._waiting: dict[int, Alarm] = {}
