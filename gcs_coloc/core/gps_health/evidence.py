@@ -1,4 +1,7 @@
-"""Evidence for the GPS health of a vehicle: what its autopilot and receiver say, and what the service finds."""
+"""The evidence for the GPS health of a vehicle.
+
+It is what the vehicle's autopilot and receiver report, and what the service finds.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +49,10 @@ class GpsReason(WordedReason):
 
 @dataclass(frozen=True, slots=True)
 class RangeContradiction:
-    """What the ranges say against a vehicle's GPS position, in words; `is_identified`: it, and nobody else, is at fault."""
+    """What the ranges say against a vehicle's GPS position, in words.
+
+    `is_identified`: the vehicle, and nobody else, is at fault.
+    """
 
     text: str
     is_identified: bool
@@ -82,7 +88,10 @@ def is_fresh(integrity: ReceiverIntegrity | None, now_s: float) -> TypeGuard[Rec
 
 
 def reported_interference(integrity: ReceiverIntegrity | None, now_s: float) -> GpsReason | None:
-    """Return what the receiver says against its fix. Jamming that it masters is no fault: the fix is as good as it states."""
+    """Return what the receiver itself reports against its fix; None where it reports nothing.
+
+    Jamming that the receiver mitigates is no fault: its fix is as good as it states.
+    """
     if not is_fresh(integrity, now_s):
         return None
     if integrity.spoofing is Interference.DETECTED:

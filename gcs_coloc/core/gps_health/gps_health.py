@@ -76,7 +76,10 @@ _NOTHING_HEARD = StatedReason(GpsReason.NOTHING_HEARD)
 
 
 class GpsHealth:
-    """The state machine of one vehicle: `update` moves it by evidence. The two checks remember what they need between updates."""
+    """The GPS health of one vehicle: a state machine that `update` moves by evidence.
+
+    Its checks of position, receiver and velocity remember what they need between updates.
+    """
 
     def __init__(self, settings: GpsHealthSettings) -> None:
         self._settings = settings
@@ -106,12 +109,18 @@ class GpsHealth:
 
     @property
     def is_returning(self) -> bool:
-        """Whether a vehicle that has failed has good evidence again, RECOVERING or not steady enough for that yet."""
+        """Whether a vehicle that has failed has good evidence again.
+
+        It is RECOVERING, or still FAILED as the evidence has not been good for long enough.
+        """
         return self._state is GpsState.RECOVERING or (self._state is GpsState.FAILED and self._good_since_s is not None)
 
     @property
     def reports_false_fix(self) -> bool:
-        """Whether the receiver of a FAILED vehicle reports a fix all the same, or one that came and went: jammed or spoofed."""
+        """Whether the receiver of a FAILED vehicle reports a fix all the same: it is jammed or spoofed.
+
+        So it is where the fix came and went.
+        """
         return self._state is GpsState.FAILED and (self._has_bad_fix or self._flickered)
 
     @property
@@ -121,7 +130,10 @@ class GpsHealth:
         return (self._state is GpsState.HEALTHY or by_ranges_alone) and not self._has_own_trouble
 
     def is_doubtful(self, now_s: float) -> bool:
-        """Whether its receiver's fixes have moved other than its velocity: evidence where ranges leave open who is at fault."""
+        """Return whether the receiver's fixes have moved otherwise than its own velocity says.
+
+        That is evidence where ranges leave open who is at fault.
+        """
         return self._doppler.drifts(now_s)
 
     def add_receiver(self, fix: GpsReceiver, position: GlobalPosition | None) -> None:

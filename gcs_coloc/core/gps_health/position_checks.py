@@ -1,4 +1,7 @@
-"""Position checks of a vehicle: its receiver moves, its positions fit its velocity, and they are its receiver's.
+"""Position checks of a vehicle, by its own velocity and by its own receiver.
+
+They find positions that move otherwise than the velocity says, a receiver that repeats one position, and positions that are not
+the receiver's.
 
 All checks scale with what the receiver states, so that a coarse one is no fault.
 """
@@ -32,7 +35,10 @@ _HAS_FIX = 3  # GPS_FIX_TYPE_3D_FIX
 
 
 class PathStep(NamedTuple):
-    """A reported position (m) and the path (m) that the reported velocities (m/s) integrate to, all east and north."""
+    """A reported position, and the path that the reported velocities integrate to.
+
+    Both are east and north, m; velocities are m/s.
+    """
 
     at_s: float
     east_m: float
@@ -44,7 +50,10 @@ class PathStep(NamedTuple):
 
 
 def path_step(last: PathStep | None, at_s: float, place_m: tuple[float, float], velocity_mps: tuple[float, float]) -> PathStep:
-    """Return the step to a reported position and velocity (east, north). Its path goes on from the last step's, by trapezoids."""
+    """Return the step to a reported position and velocity (east, north).
+
+    Its path continues that of the last step, by the trapezoidal rule.
+    """
     ve_mps, vn_mps = velocity_mps
     path_east_m = path_north_m = 0.0
     if last is not None:
@@ -56,10 +65,10 @@ def path_step(last: PathStep | None, at_s: float, place_m: tuple[float, float], 
 
 @dataclass(slots=True)
 class MotionCheck:
-    """Do the positions that one vehicle reports move as the velocities that it reports, and its receiver at all?
+    """The check that a vehicle's positions move as its velocities, and that its receiver moves at all.
 
-    `implausible`: displacement against velocity; held for 10 s after the last contradiction,
-    since either side of a jump may be the wrong one. `frozen` says that the receiver repeats one position on the move.
+    `implausible`: the positions contradict the velocities. That is held for 10 s after the last contradiction, since either side
+    of a jump may be the wrong one. `frozen`: the receiver repeats one position while the vehicle moves.
     """
 
     _steps: deque[PathStep] = field(default_factory=deque)
@@ -112,13 +121,16 @@ class MotionCheck:
         self._heard_at_s = fix.received_at_s
 
     def implausible(self, now_s: float) -> StatedReason[GpsReason] | None:
-        """Why the positions reported of late are not believed; None where they are."""
+        """Return why the positions reported of late are not believed; None where they are."""
         if now_s - self._missed_at_s > _HELD_S:
             return None
         return StatedReason(GpsReason.IMPLAUSIBLE_MOTION, self._miss_m, _WINDOW_S)
 
     def frozen(self) -> StatedReason[GpsReason] | None:
-        """Why the receiver is held to be frozen, or None: a moving one never repeats a fix to the centimetre."""
+        """Return why the receiver counts as frozen; None where it does not.
+
+        A receiver that moves never repeats a fix to the centimetre.
+        """
         if self._heard_at_s - self._same_since_s < _FROZEN_S or self._same_path_m < _FROZEN_PATH_M:
             return None
         return StatedReason(GpsReason.FROZEN, self._same_path_m)
@@ -136,10 +148,12 @@ class MotionCheck:
 
 @dataclass(slots=True)
 class ReceiverCheck:
-    """Does a vehicle report the position that its own receiver states? Its autopilot may be flying on something else.
+    """The check that a vehicle reports the position that its own receiver states.
 
-    GLOBAL_POSITION_INT is a filter's output, and the receiver's signs of health say nothing of it: the filter may be set to
-    other sources (vision, beacons, another receiver), may refuse the receiver and reckon on, or follow one that has just jumped.
+    Its autopilot may be flying on something else. GLOBAL_POSITION_INT is a filter's output, and the receiver's signs of health
+    say nothing of it. The filter may be set to other sources (vision, beacons, another receiver). It may refuse the receiver and
+    reckon on, or follow one that has just jumped.
+
     `fault`: how far the position is off the receiver's; None where it is not.
     """
 
