@@ -43,7 +43,10 @@ class GpsOverride(Enum):
 
 
 class AidingOverride(Enum):
-    """The operator's decision on aiding a vehicle: ON whatever its GPS says, OFF never; AUTO leaves it to its GPS."""
+    """The operator's decision on aiding a vehicle.
+
+    ON aids it whatever its GPS says, OFF never does. AUTO leaves it to its GPS health.
+    """
 
     AUTO = "auto"
     ON = "on"
@@ -51,7 +54,10 @@ class AidingOverride(Enum):
 
 
 class PrimaryOverride(Enum):
-    """The operator's decision on GPS_PRIMARY of an aided vehicle: OURS our receiver, OWN what it was; AUTO as it is set."""
+    """The operator's decision on the parameter GPS_PRIMARY of an aided vehicle.
+
+    OURS is the receiver that we feed, OWN what it was before. AUTO leaves it to the setting `switch_primary`.
+    """
 
     AUTO = "auto"
     OURS = "ours"
