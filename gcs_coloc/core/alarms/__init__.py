@@ -1,4 +1,4 @@
 """Alarms: what is wrong with the fleet, as people are told of it.
 
-They have a life, texts for ground tools, and a traffic light for each vehicle.
+The texts for ground tools and the traffic light of each vehicle come from them.
 """
