@@ -1,6 +1,7 @@
-"""Measurements of altitude of vehicles whose position is not trusted: by the barometer, or by the autopilot's own height.
+"""The builder of altitude measurements of vehicles whose position is not trusted.
 
-An altitude is above the curved earth, the frame is a plane: where a vehicle roughly is tells by how much they differ there.
+An altitude comes from the barometer, or is the autopilot's own height. It is above the curved earth, while the frame is a plane.
+Where a vehicle roughly is tells by how much they differ there.
 """
 
 from __future__ import annotations
@@ -23,7 +24,11 @@ _PLACED_FOR_S = 2.0  # chosen: ten positions at the rate that vehicles send them
 
 
 class _Place(NamedTuple):
-    """Where a vehicle was at a time (east, north), within what, and how fast it may have left; service time, m, m/s."""
+    """Where a vehicle was at a time, and how far it may be from there.
+
+    `east_m` and `north_m` are in the fleet's frame, and right within `sigma_m`. `at_s` is service time. `speed_mps` is how fast
+    it may have left.
+    """
 
     east_m: float
     north_m: float
@@ -68,7 +73,10 @@ class AltitudeBuilder:
         self._pressures = PressureHeights()
 
     def add_trusted_position(self, message: GlobalPosition, reported: PositionMeasurement) -> None:
-        """Add the position of a trusted vehicle: its barometer is calibrated by it, and it tells where peers are."""
+        """Add the position of a trusted vehicle.
+
+        It calibrates the vehicle's barometer, and tells roughly where its peers are.
+        """
         memory, now_s = self._of(message.sysid), message.received_at_s
         memory.datum_sigma_m, memory.height_reported_at_s = 0.0, now_s
         self._pressures.learn(message.sysid, message.alt_msl_m, now_s)
@@ -78,7 +86,7 @@ class AltitudeBuilder:
     def add_range(
         self, message: PeerRange, vehicle: ReportedState, peer: ReportedState | Station, frame: LocalFrame | None
     ) -> None:
-        """Add a range: either end, whichever of the two measured it, is as far from the other as the range."""
+        """Add a range: either end is as far from the other as the range, whichever of the two measured it."""
         now_s = message.received_at_s
         of_peer = self._place_of(peer, now_s, frame)
         if not isinstance(peer, Station):
@@ -96,10 +104,13 @@ class AltitudeBuilder:
         sent_fix: SentFix | None,
         located_enu_m: tuple[float, float] | None,
     ) -> AltitudeMeasurement | None:
-        """Build the autopilot's altitude, which may hold what we sent; None where the barometer itself is heard.
+        """Build the altitude that the autopilot reports, which may hold what we sent.
+
+        None where the barometer itself is heard, or where nothing tells where the vehicle is.
 
         The first fix since it booted gives its barometer the datum. Where that was a fix of ours (`sent_fix` is the last one),
-        its height is ours come back, and no better known than that was. `located_enu_m` is where the estimator has it.
+        its height is ours come back, and no better known than that was. `located_enu_m` is where the estimator has it (east,
+        north).
         """
         memory, now_s = self._of(message.sysid), message.received_at_s
         if memory.height_reported_at_s is None or booted_at_s > memory.height_reported_at_s:
@@ -111,7 +122,7 @@ class AltitudeBuilder:
         return self._altitude(message, message.alt_msl_m, sigma_m, frame, measured, located_enu_m)
 
     def sigma_m(self, sysid: int, now_s: float, *, altitude_sigma_m: float) -> float:
-        """Return the 1-sigma of the altitude that a trusted vehicle would be measured by from now on without its GPS, m."""
+        """Return the 1-sigma that the altitude of a trusted vehicle would have without its GPS, m."""
         height = self._pressures.height(sysid, now_s)
         return hypot(altitude_sigma_m, height.sigma_m) if height is not None else altitude_sigma_m
 
@@ -128,7 +139,10 @@ class AltitudeBuilder:
         altitude_sigma_m: float,
         located_enu_m: tuple[float, float] | None,
     ) -> AltitudeMeasurement | None:
-        """Build the height by a barometer whose pressure has been added; None where nothing tells what it means."""
+        """Build the altitude by a barometer whose pressure has been added.
+
+        None where nothing tells what the pressure means, or where the vehicle is.
+        """
         height = self._pressures.height(message.sysid, message.received_at_s)
         if height is None:
             return None
@@ -144,7 +158,11 @@ class AltitudeBuilder:
         measured: ServiceTime,
         located_enu_m: tuple[float, float] | None,
     ) -> AltitudeMeasurement | None:
-        """Build the up coordinate of an altitude. At a distance D from the origin a place off by d changes it by D d / R."""
+        """Build the measurement of the up coordinate of an altitude; None where no place is known.
+
+        Its noise has that of the place in it. At a distance D from the origin, a place that is off by d changes the up
+        coordinate by D d / R, where R is the radius of the earth.
+        """
         now_s, memory = message.received_at_s, self._of(message.sysid)
         places = [_Place(*located_enu_m, 0.0, now_s, 0.0)] if located_enu_m is not None else [memory.place, memory.near]
         place = min((p for p in places if p is not None), key=lambda p: p.sigma_at(now_s), default=None)

@@ -26,16 +26,20 @@ _FIX_3D = 3  # GPS_FIX_TYPE_3D_FIX
 
 
 class BuiltPosition(NamedTuple):
-    """The position that a vehicle reports, believed or not, and the measurement that it is evidence for, if any."""
+    """The position that a vehicle reports, and the measurement that it is evidence for, if any.
+
+    The position is there whether it is believed or not.
+    """
 
     reported: PositionMeasurement
     measurement: PositionMeasurement | AltitudeMeasurement | None
 
 
 class MeasurementBuilder:
-    """Turns the messages of one fleet into measurements about its origin. `refused` counts what it refuses.
+    """Turns the messages of one fleet into measurements in the fleet's frame.
 
-    `frame` is the fleet's: None until the first position of a vehicle with trusted GPS sets its origin, or a station does.
+    `refused` counts what it refuses. `frame` is None until the first position of a vehicle with trusted GPS sets its origin, or
+    a station does.
     """
 
     def __init__(self, settings: MeasurementSettings, clocks: FleetClocks) -> None:
@@ -64,9 +68,10 @@ class MeasurementBuilder:
         sent_fix: SentFix | None = None,
         located_enu_m: tuple[float, float] | None = None,
     ) -> BuiltPosition | None:
-        """Build the position of a trusted vehicle, the altitude of any other; None for a refused stamp or no frame.
+        """Build the position of a trusted vehicle, or the altitude of any other.
 
-        `sent_fix` is the last fix that the vehicle was sent, `located_enu_m` where the estimator has it (east, north).
+        None where its stamp is refused, or there is no frame yet. `sent_fix` is the last fix that the vehicle was sent,
+        `located_enu_m` where the estimator has it (east, north).
         """
         measured = self._clocks.stamp(message)
         if measured is None:
@@ -94,7 +99,10 @@ class MeasurementBuilder:
     def pressure(
         self, message: Pressure, *, is_trusted: bool, located_enu_m: tuple[float, float] | None = None
     ) -> AltitudeMeasurement | None:
-        """Build the height by the barometer of a vehicle that is not trusted; None where nothing tells what it means."""
+        """Build the altitude by the barometer of a vehicle that is not trusted.
+
+        None where the vehicle is trusted, the stamp is refused, or nothing tells what the pressure means.
+        """
         measured = self._clocks.stamp(message)
         if measured is None:
             return None
@@ -128,7 +136,10 @@ class MeasurementBuilder:
         )
 
     def range(self, message: PeerRange, vehicle: ReportedState, peer: ReportedState | Station | None) -> BuiltRange:
-        """Build a range of a vehicle to another one or a station; `peer` is None where the other end was never heard."""
+        """Build a range of a vehicle to another one or to a station.
+
+        `peer` is None where the other end was never heard.
+        """
         if peer is None:
             self.refused[CoreRefusal.RANGE_PEER_UNKNOWN] += 1
             return BuiltRange(None)
@@ -143,7 +154,10 @@ class MeasurementBuilder:
         return built
 
     def add_receiver(self, message: GpsReceiver, vehicle: ReportedState, *, is_trusted: bool) -> None:
-        """Add a report of a vehicle's own receiver: while it is not trusted, `receiver_fix` has it as a measurement."""
+        """Add a report of a vehicle's own receiver.
+
+        While the vehicle is not trusted, `receiver_fix` returns its fix as a measurement.
+        """
         if is_trusted or self.frame is None or message.fix_type < _FIX_3D:
             self._receiver_fixes.pop(message.sysid, None)
             return
@@ -155,7 +169,10 @@ class MeasurementBuilder:
         return self._reported.get(sysid)
 
     def receiver_fix(self, sysid: int) -> PositionMeasurement | None:
-        """Return the newest fix of a vehicle's own receiver while that is not trusted; None without a 3D fix or a frame."""
+        """Return the newest fix of a vehicle's own receiver while the vehicle is not trusted.
+
+        None while it is trusted, and without a 3D fix or a frame.
+        """
         return self._receiver_fixes.get(sysid)
 
     def attitude_at_s(self, sysid: int) -> float | None:

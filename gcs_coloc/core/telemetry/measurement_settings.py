@@ -1,4 +1,4 @@
-"""Settings of the measurements: noise that the wire does not tell, calibration of ranging devices, and the oldest message."""
+"""The settings of the measurements: their noise, the devices' calibration, and the oldest message."""
 
 from __future__ import annotations
 

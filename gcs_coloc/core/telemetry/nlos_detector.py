@@ -1,9 +1,11 @@
-"""NLOS detector: a range that leaves its own predecessors faster than vehicles move is off, whoever's GPS is right.
+"""The NLOS detector, which finds ranges that change faster than vehicles move.
 
 Behind a building, a hill or a wing (non-line-of-sight, NLOS) the radio finds a way around: for seconds a range is too long by
-metres. No position takes part in this test: it hides no fault of a receiver. A way around is never shorter than the way, so a
-range that jumps down has come back, or the one before was too long. A step up that lasts is believed after a while: then it is
-the fault tests' matter. So is at once one that all ranges of a device make together: then the device is off, and no way around.
+metres. The test compares a range with its own predecessors. No position takes part in it, so it hides no fault of a receiver.
+
+A way around is never shorter than the straight line. So a range that jumps down has come back, or the one before was too long. A
+step up that lasts is believed after a while: from then on it is a matter for the fault tests. So is, at once, a step that all
+ranges of a device make together: then the device is off, and there is no way around.
 
 Source of the prediction: least squares of a line, its variance at the next point.
 """
@@ -37,7 +39,10 @@ class _Departed(NamedTuple):
 
 @dataclass(slots=True)
 class RangeTrack:
-    """The ranges of one device to one peer of late. `excess_m`: by how much they are too long since they jumped."""
+    """The recent ranges of one device to one peer.
+
+    `excess_m`: by how much they are too long since they jumped.
+    """
 
     excess_m: float = 0.0
     _samples: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=_SAMPLES))
@@ -46,9 +51,10 @@ class RangeTrack:
     _departed: _Departed | None = None
 
     def add(self, at_s: float, range_m: float, sigma_m: float, speed_mps: float) -> bool:
-        """Add a range (time s, m) with its 1-sigma (m) and the relative speed of its ends; return whether it is not to be used.
+        """Add a range; return whether it is not to be used.
 
-        One that is no newer than the last is not judged: it came late, or on a second way.
+        The time is in s, the range and its 1-sigma in m. `speed_mps` is the relative speed of its ends. A range that is no newer
+        than the last one is not judged: it came late, or by a second link.
         """
         samples, departed = self._samples, self._departed
         newest_s = departed.at_s if departed is not None else samples[-1][0] if samples else -inf
@@ -89,7 +95,11 @@ class RangeTrack:
         )
 
     def _prediction(self, at_s: float, range_m: float) -> tuple[float, float, float]:
-        """Return the departure of a range (m), its variance over a range's, and what bends it over an acceleration (s^2)."""
+        """Return how far a range departs from the line of its predecessors, and how exact that line is.
+
+        The values are the departure (m), its variance in units of a range's variance, and the departure that an acceleration
+        causes, per acceleration (s^2).
+        """
         n = len(self._samples)
         mean_s, mean_m = sum(t for t, _ in self._samples) / n, sum(r for _, r in self._samples) / n
         centred = [(t - mean_s, r - mean_m) for t, r in self._samples]
@@ -100,7 +110,10 @@ class RangeTrack:
         return departure_m, 1.0 + 1.0 / n + ahead_s**2 / squares_s2, bent_s2
 
     def _is_second(self, at_s: float, departure_m: float, needed_m: float) -> bool:
-        """Whether a range departs as the one before it did: half as far is enough, the first has been beyond chance."""
+        """Return whether a range departs as the one before it did.
+
+        Half the limit is enough for it, as the first one was beyond chance.
+        """
         before = self._departed
         return (
             before is not None
@@ -111,7 +124,10 @@ class RangeTrack:
         )
 
     def _depart(self, now: _Departed, limit_m: float, *, second: bool) -> bool:
-        """One range that departs is an outlier, two of them in a row have jumped; none of them is to be used."""
+        """Add a range that departs; return whether it is not to be used.
+
+        A single one is an outlier. After two in a row the ranges have jumped: they are too long from then on, or have come back.
+        """
         before, self._departed = self._departed, now
         if before is None or not second:
             return True
@@ -131,7 +147,10 @@ class NlosDetector:
         self._tracks: dict[tuple[int, int], RangeTrack] = {}
 
     def add(self, peer: int, device_id: int, at_s: float, range_m: float, sigma_m: float, speed_mps: float) -> bool:
-        """Add a range as `RangeTrack.add`; return whether it is not to be used: it is off, and others of its device are not."""
+        """Add a range as `RangeTrack.add`; return whether it is not to be used.
+
+        That is where the range is off and other ranges of its device are not.
+        """
         key = (peer, device_id)
         track = self._tracks.get(key)
         if track is None:

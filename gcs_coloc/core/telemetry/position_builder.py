@@ -1,7 +1,7 @@
-"""Measurements of position, with the noise that a receiver states, settings assume or jumps show.
+"""The builder of position measurements, with the noise of each.
 
-What was measured at an uncertain time was measured at an uncertain place: a position gets speed times time sigma as further
-noise.
+The noise is what a receiver states, the settings assume or jumps show. What was measured at an uncertain time was measured at an
+uncertain place: a position gets speed times time sigma as further noise.
 """
 
 from __future__ import annotations
@@ -58,10 +58,10 @@ def receiver_accuracy(receiver: GpsReceiver | None, settings: MeasurementSetting
 
 @dataclass(slots=True)
 class PositionJumps:
-    """How far the position that one vehicle reports jumps other than the vehicle moves: another receiver, or a reset.
+    """The jumps of the position that one vehicle reports, which its motion does not explain.
 
-    Which side of a jump was right nobody knows. Until the autopilot's filter has settled, its position is as uncertain as the
-    jump was large, whatever its receiver states.
+    A jump comes from another receiver or from a reset of the autopilot's filter. Which side of it was right nobody knows. Until
+    the filter has settled, its position is as uncertain as the jump was large, whatever its receiver states.
     """
 
     _last: PositionMeasurement | None = None
@@ -71,7 +71,7 @@ class PositionJumps:
     _distrusted_at_s: float = -inf
 
     def sigma_m(self, reported: PositionMeasurement, *, is_trusted: bool) -> float:
-        """Add a reported position; return the 1-sigma (m, each axis) that jumps of late add to what is stated of it."""
+        """Add a reported position; return the 1-sigma that recent jumps add to it, m on each axis."""
         if not is_trusted:
             self._distrusted_at_s = reported.measured_at_s
         last, velocity = self._last, reported.velocity_enu_mps

@@ -40,7 +40,10 @@ class PressureHeight(NamedTuple):
 
 @dataclass(slots=True)
 class _Barometer:
-    """`offset_m`: height minus pressure altitude, learnt for `learnt_s`; `others_m`: the offsets of the others then."""
+    """What is known of one vehicle's barometer.
+
+    `offset_m`: height minus pressure altitude, learnt for `learnt_s`. `others_m`: the offsets of the others at that time.
+    """
 
     altitude_m: float = 0.0
     at_s: float = float("-inf")
@@ -77,7 +80,10 @@ class PressureHeights:
         barometer.others_m = self._offsets_of_others(sysid, at_s)
 
     def height(self, sysid: int, at_s: float) -> PressureHeight | None:
-        """Return the height of a vehicle by its barometer; None where that is silent, or nothing tells its offset."""
+        """Return the height of a vehicle by its barometer; None where it is not known.
+
+        It is not known while the barometer is silent, or nothing tells its offset.
+        """
         barometer = self._barometers.get(sysid)
         if barometer is None or at_s - barometer.at_s > _FRESH_S:
             return None

@@ -1,4 +1,4 @@
-"""Which vehicles are proven to be what they say: only their messages are evidence for the position of others.
+"""The proven vehicles: those whose messages are evidence for the position of others.
 
 On an unsigned link one sender may state any number of vehicles, so what counts is where a vehicle is heard and who measures it.
 A vehicle is proven that
@@ -40,7 +40,11 @@ _EXTRAPOLATED_S = 2.0  # chosen: a manoeuvre of 5 m/s^2 moves a vehicle by 10 m 
 
 @dataclass(slots=True)
 class _Fit:
-    """Ranges of one proven vehicle to a newcomer: since when they fit without an exception, and the newest."""
+    """How the ranges of one proven vehicle to a newcomer fit the newcomer's position.
+
+    `since_s`: since when they fit without an exception; infinity where the newest does not. `at_s`: when the newest came. Both
+    are service time.
+    """
 
     since_s: float
     at_s: float
@@ -48,7 +52,10 @@ class _Fit:
 
 @dataclass(slots=True)
 class _Sender:
-    """What is known of one vehicle. `companions`: the proven ones at its address when it was itself proven and heard last."""
+    """What is known of one vehicle as the sender of messages.
+
+    `companions`: the proven vehicles at its address when it was itself proven and heard last.
+    """
 
     is_proven: bool
     has_returned: bool = False
@@ -59,7 +66,10 @@ class _Sender:
 
 
 class ProvenVehicles:
-    """The proven vehicles of one fleet. `add` each vehicle that is new, `review` all of them several times a second."""
+    """The proven vehicles of one fleet.
+
+    Call `add` for each vehicle that is new, and `review` for all of them several times a second.
+    """
 
     def __init__(self) -> None:
         self._senders: dict[int, _Sender] = {}
@@ -80,7 +90,10 @@ class ProvenVehicles:
         return sender is not None and sender.is_proven
 
     def update(self, vehicle: ReportedState, at_s: float) -> None:
-        """Update what is known of a vehicle of which a message has arrived, before its reported state is updated."""
+        """Update what is known of a vehicle of which a message has arrived.
+
+        Call it before the vehicle's reported state is updated.
+        """
         sender = self._senders[vehicle.sysid]
         if at_s - vehicle.last_heard_s > SILENT_S and vehicle.route_at_s is not None:
             sender.has_returned = sender.has_returned or sender.is_proven
@@ -89,9 +102,12 @@ class ProvenVehicles:
     def add_range(
         self, measurement: RangeMeasurement, measured_from: PositionMeasurement | None, to: PositionMeasurement | None
     ) -> None:
-        """Add a range that a proven vehicle measured to one that is not; positions of which either end has none are None.
+        """Add a range that a proven vehicle measured to one that is not.
 
-        What a newcomer measures itself proves nothing. One whose position is no evidence (`to` is None) is measured all the same.
+        `measured_from` and `to` are the reported positions of the two ends, None where an end has none that is evidence.
+
+        What a newcomer measures itself proves nothing. One whose position is no evidence (`to` is None) is measured all the
+        same.
         """
         newcomer, peer = self._senders.get(measurement.to_vehicle), measurement.from_vehicle
         if newcomer is None or newcomer.is_proven or not self.is_proven(peer):
@@ -113,7 +129,10 @@ class ProvenVehicles:
             fit.at_s = at_s
 
     def review(self, vehicles: Collection[ReportedState], vouched: Collection[int], now_s: float) -> list[Notice]:
-        """Find who is proven now; `vouched` are those that the operator declares healthy. Return what is to be told."""
+        """Find the vehicles that are proven now; return what is to be told.
+
+        `vouched` are those that the operator declares healthy.
+        """
         out: list[Notice] = []
         is_founding = self._began_s is not None and now_s - self._began_s < FOUNDING_S
         any_alone = any(vehicle.blocked is None for vehicle in vehicles)
@@ -163,7 +182,10 @@ class ProvenVehicles:
 
 
 def _apart_m(one: PositionMeasurement, other: PositionMeasurement, at_s: float) -> tuple[float, float] | None:
-    """Return the distance of two reported positions at a time, m, and its 1-sigma; None where one of them is too old."""
+    """Return the distance of two reported positions at a time, and its 1-sigma, m.
+
+    None where one of the positions is too old.
+    """
     places = []
     for position in (one, other):
         since_s = at_s - position.measured_at_s

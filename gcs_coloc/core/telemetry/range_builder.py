@@ -1,4 +1,6 @@
-"""Measurements of range from what ranging devices report: calibrated, timed, and none of a device that is stuck.
+"""The builder of range measurements from what ranging devices report.
+
+It calibrates and times each range. It refuses the ranges of a device that is stuck, and those that have jumped.
 
 What was measured at an uncertain time was measured at an uncertain place: a range gets the relative speed times time sigma as
 further noise. It states that part apart as well, for an estimator that models clocks.
@@ -26,7 +28,7 @@ _SIGMA_GAIN = 0.1  # of each range in the mean of late; chosen: it follows withi
 
 
 class BuiltRange(NamedTuple):
-    """A range, or the reason why it is refused, and what the operator must know of the device that measured it."""
+    """A range or the reason why it is refused, and the notice about its ranging device, if any."""
 
     measurement: RangeMeasurement | None
     notice: Notice | None = None
@@ -117,7 +119,10 @@ def _device_notice(message: PeerRange, *, is_stuck: bool) -> Notice:
 
 
 def _relative_speed_mps(vehicle: ReportedState, peer: ReportedState | Station) -> float:
-    """The most by which a range changes per second; one vehicle's own speed where only that is known, or the other end stands."""
+    """Return the speed of two nodes against each other, the most by which a range changes per second.
+
+    Where only one vehicle's velocity is known, or the other end is a station, it is that vehicle's own speed.
+    """
     vn, ve, vd = (
         (vehicle.position.vn_mps, vehicle.position.ve_mps, vehicle.position.vd_mps) if vehicle.position else (0.0, 0.0, 0.0)
     )

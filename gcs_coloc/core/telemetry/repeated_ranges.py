@@ -1,10 +1,13 @@
-"""Is a ranging device stuck? The very same range again and again, to the last bit, is no measurement any more.
+"""The check for repeated ranges, which tell that a ranging device is stuck.
 
-A range is noisy, so how often two in a row are equal by chance follows from the step in which the device tells it and from its
-noise: step / (2 sqrt(pi) sigma) for a step that is small against the noise. Both are seen in the second differences of its
-values, which a steady motion does not enter: their spread is the noise, the smallest one the step. How often it has repeated
-itself so far is seen as well; the larger of the two chances counts. A device with steps as coarse as its noise, one without
-noise and one that tells each value several times repeat themselves in good health: of these nothing is said.
+The very same range again and again, to the last bit, is no measurement any more. A range is noisy, so how often two in a row are
+equal by chance follows from the step in which the device tells it and from its noise: step / (2 sqrt(pi) sigma) for a step that
+is small against the noise.
+
+Both are seen in the second differences of its values, which a steady motion does not enter: their spread is the noise, the
+smallest one the step. How often it has repeated itself so far is seen as well; the larger of the two chances counts. A device
+with steps as coarse as its noise, one without noise and one that tells each value several times repeat themselves in good
+health: of these nothing is said.
 
 Source: the chance that two draws of one Gaussian fall into one step, the integral of its squared density times the step.
 """
@@ -90,7 +93,10 @@ class RepeatedRange:
 
 
 class RangeRepeats:
-    """The ranging devices of one vehicle. `stuck` has (peer, device id) of those that repeat one value now."""
+    """The checks of one vehicle's ranging devices for repeated ranges.
+
+    `stuck` has (peer, device id) of those that repeat one value now.
+    """
 
     def __init__(self) -> None:
         self.stuck: set[tuple[int, int]] = set()

@@ -1,4 +1,7 @@
-"""The reported state of each vehicle: what it last said of itself. Telemetry alone writes it; later stages read it."""
+"""The reported state of each vehicle: what it last said of itself.
+
+Telemetry alone writes it. Later stages read it.
+"""
 
 from __future__ import annotations
 
@@ -79,12 +82,18 @@ class ReportedState:
     counts: Counter[Stream] = field(default_factory=Counter)
 
     def has_absolute_position(self, now_s: float) -> bool:
-        """Whether its EKF reported of late that it has an absolute horizontal position: it has been aligned."""
+        """Return whether its EKF has reported of late that it has an absolute horizontal position.
+
+        It has been aligned then.
+        """
         ekf = self.ekf
         return ekf is not None and ekf.horizontal_position_absolute and now_s - ekf.received_at_s <= _EKF_FRESH_S
 
     def has_air_data(self, now_s: float) -> bool:
-        """Whether it reports by airspeed and bank how it moves through the air: on wings, fast enough for them, and lately."""
+        """Return whether its airspeed and attitude show how it moves through the air.
+
+        They do where it flies on wings, is fast enough, and has reported both of late.
+        """
         air, attitude = self.airspeed, self.attitude
         if not self.winged or air is None or attitude is None or air.airspeed_mps < LEAST_AIRSPEED_MPS:
             return False
@@ -119,9 +128,10 @@ class Telemetry:
         return len(self._states) >= self._max_vehicles
 
     def update(self, message: FromVehicle) -> bool:
-        """Update the reported state of a vehicle that was added; True where its GPS health and aiding need a review at once.
+        """Update the reported state of a vehicle that was added.
 
-        A status that says what the last one said waits for the next review of the fleet.
+        Return True where its GPS health and aiding need a review at once. A status that says what the last one said waits for
+        the next review of the fleet.
         """
         state = self._states[message.sysid]
         state.last_heard_s = message.received_at_s
