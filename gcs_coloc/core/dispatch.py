@@ -1,4 +1,4 @@
-"""Message dispatch: what one message of a vehicle is evidence for, built and handed to the stages that use it."""
+"""Message dispatch: builds what one message is evidence for, and hands it to the stages that use it."""
 
 from __future__ import annotations
 
@@ -61,7 +61,10 @@ class LastRound(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Stages:
-    """The stages of one fleet, in the order in which a message passes them. None of them holds another but the clocks."""
+    """The stages of one fleet, in the order in which a message passes them.
+
+    No stage holds another one, except the clocks.
+    """
 
     telemetry: Telemetry
     proven: ProvenVehicles
@@ -78,7 +81,10 @@ class Stages:
 
 
 class MessageDispatch:
-    """Telemetry and clocks -> measurement -> estimator, integrity, GPS health, aiding: for one message at a time."""
+    """Hands one message at a time to the stages that use it, and the measurement that is built from it.
+
+    Order: telemetry and clocks -> measurement -> estimator, integrity, GPS health, aiding.
+    """
 
     def __init__(self, stages: Stages) -> None:
         self._stages = stages
@@ -104,9 +110,9 @@ class MessageDispatch:
         self._classes: dict[int, VehicleClass] = {}
 
     def add(self, message: FromVehicle, vehicle: ReportedState, last_round: Callable[[int], LastRound]) -> list[Outbound]:
-        """Add a message of a vehicle whose reported state holds it already; return what is to be sent or shown at once.
+        """Add a message of a vehicle; return what is to be sent or shown at once.
 
-        `last_round` returns what later stages found of a vehicle.
+        The reported state of the vehicle holds the message already. `last_round` returns what later stages found of a vehicle.
         """
         if (measured_handler := self._measured_handlers.get(type(message))) is not None:
             return measured_handler(message, vehicle) or []
@@ -174,7 +180,10 @@ class MessageDispatch:
         return [notice for notice in (told, built.notice) if notice is not None]
 
     def _survey(self, message: PeerRange, vehicle: ReportedState, station: Station) -> Notice | None:
-        """Let a range of a vehicle with GPS help to find a station without position; return what is wrong with the range."""
+        """Let a range help to find a station that has no position; return the notice about its device.
+
+        Only a range of a vehicle whose GPS is healthy helps.
+        """
         s = self._stages
         reported = self._believed(message.sysid)
         if reported is None:

@@ -1,6 +1,7 @@
-"""Error ellipse and error bound of a covariance, with the one eigen-decomposition of 2x2 matrices; HDOP of ranges.
+"""Error ellipse and error bound of a covariance, and the HDOP of ranges.
 
-Closed forms: numpy's general decompositions take several times as long for two and three directions.
+The package's one eigen-decomposition of 2x2 matrices is here. It is in closed form, as is that of three directions: numpy's
+general decompositions take several times as long.
 """
 
 from __future__ import annotations
@@ -21,7 +22,10 @@ _Real = TypeVar("_Real", float, FloatArray)
 
 
 class ErrorEllipse(NamedTuple):
-    """The 1-sigma ellipse: semi-axes in m, and the angle of the major one from the first axis to the second, in rad."""
+    """The 1-sigma ellipse: its semi-axes and the direction of the major one.
+
+    The angle is from the covariance's first axis to its second.
+    """
 
     semi_major_m: float
     semi_minor_m: float
@@ -29,36 +33,46 @@ class ErrorEllipse(NamedTuple):
 
 
 def eigenvalue_mean_and_radius(a: _Real, b: _Real, d: _Real, norm: Callable[[_Real, _Real], _Real]) -> tuple[_Real, _Real]:
-    """The eigenvalues of [[a, b], [b, d]] are mean + radius and mean - radius (Mohr's circle).
+    """Return mean and radius of the two eigenvalues of [[a, b], [b, d]] (Mohr's circle).
 
-    `norm` is math.hypot for numbers and numpy.hypot for arrays.
+    The eigenvalues are mean + radius and mean - radius. `norm` is the root of the sum of two squares: math.hypot or the like for
+    numbers, numpy.hypot for arrays.
     """
     return 0.5 * (a + d), norm(0.5 * (a - d), b)
 
 
 def major_axis_rad(a: float, b: float, d: float) -> float:
-    """Angle of the eigenvector of the larger eigenvalue of [[a, b], [b, d]], from the first axis to the second."""
+    """Return the angle of the major axis of the ellipse of [[a, b], [b, d]], from the first axis, rad.
+
+    The major axis is the eigenvector of the larger eigenvalue. The angle is positive towards the second axis.
+    """
     return 0.5 * atan2(2.0 * b, a - d)
 
 
 def error_ellipse(ee: float, en: float, nn: float) -> ErrorEllipse:
-    """The error ellipse of a horizontal covariance, given by its elements in m^2."""
+    """Return the error ellipse of a horizontal covariance, given by its elements in m^2."""
     mean, radius = eigenvalue_mean_and_radius(ee, en, nn, _norm)
     return ErrorEllipse(sqrt(max(mean + radius, 0.0)), sqrt(max(mean - radius, 0.0)), major_axis_rad(ee, en, nn))
 
 
 def horizontal_sigma_m(covariance: FloatArray) -> float:
-    """1-sigma along the worst horizontal direction, m: root of the larger eigenvalue of the top-left (2, 2) block."""
+    """Return the 1-sigma along the worst horizontal direction, m.
+
+    It is the root of the larger eigenvalue of the top-left (2, 2) block of the covariance.
+    """
     return _semi_axes_m(covariance)[0]
 
 
 def horizontal_bound_95_m(covariance: FloatArray) -> float:
-    """Radius in m that holds the horizontal error with 95 % if the top-left (2, 2) block of the covariance is true."""
+    """Return the radius that holds the horizontal error with 95 %, m.
+
+    It does so if the top-left (2, 2) block of the covariance is true.
+    """
     return horizontal_sigma_and_bound_95_m(covariance)[1]
 
 
 def horizontal_sigma_and_bound_95_m(covariance: FloatArray) -> tuple[float, float]:
-    """`horizontal_sigma_m` and `horizontal_bound_95_m` at once."""
+    """Return `horizontal_sigma_m` and `horizontal_bound_95_m` at once."""
     larger_m, smaller_m = _semi_axes_m(covariance)
     if larger_m == 0.0:
         return 0.0, 0.0
@@ -69,11 +83,10 @@ def horizontal_sigma_and_bound_95_m(covariance: FloatArray) -> tuple[float, floa
 
 
 def horizontal_dilution_of(units: Iterable[tuple[float, float, float]]) -> float:
-    """HDOP of ranges to a vehicle of known height, a plain number.
+    """Return the HDOP of ranges to a vehicle of known height, a plain number.
 
-    It follows from the unit vectors between its peers and it.
-
-    Infinite where the directions are parallel to within the rounding of their squares (some 1e-7 rad).
+    It follows from the unit vectors between its peers and it. It is infinite where their directions are parallel to within the
+    rounding of their squares (some 1e-7 rad).
     """
     ee = en = nn = 0.0
     for e, n, _ in units:
@@ -85,7 +98,9 @@ def horizontal_dilution_of(units: Iterable[tuple[float, float, float]]) -> float
 
 
 def worst_sigma(covariance: FloatArray) -> float:
-    """1-sigma along the worst direction of a covariance (3, 3): root of its largest eigenvalue, in the root of its unit.
+    """Return the 1-sigma along the worst direction of a covariance (3, 3).
+
+    It is the root of the largest eigenvalue, in the root of the covariance's unit.
 
     Source: the trigonometric solution of the characteristic equation (Smith 1961).
     """

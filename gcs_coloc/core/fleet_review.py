@@ -1,4 +1,7 @@
-"""The review of a fleet: estimates -> integrity report -> GPS health -> aiding decision, and what they state of a vehicle."""
+"""The review of a fleet: runs the stages that follow the estimator, and hands their results on.
+
+Order: estimates -> integrity report -> GPS health -> aiding decision.
+"""
 
 from __future__ import annotations
 
@@ -29,10 +32,10 @@ _WITNESS_AFTER_S = STEADY_S  # a vehicle that has just appeared has shown nothin
 
 
 class FleetReview:
-    """Hands the results of the later stages on: to each other now, and to the earlier ones in the next round.
+    """Hands the results of the later stages to each other, and to the earlier ones in the next round.
 
-    `report` is what integrity returned last, `residuals` what the estimator made of the ranges of late, `stations` the review of
-    the fixed ones, `readiness` whether healthy vehicles would be located without GPS.
+    `report` is what integrity returned last. `residuals` is what the estimator made of the ranges of late. `stations` is the
+    review of the fixed stations. `readiness` is whether healthy vehicles would be located without GPS.
     """
 
     def __init__(self, stages: Stages, aiding: AidingSettings, protection: ProtectionSettings) -> None:
@@ -65,14 +68,17 @@ class FleetReview:
         return self._decisions.get(sysid, _NO_AIDING)
 
     def estimate(self, sysid: int, at_s: float) -> Estimate | NoEstimate:
-        """Return the estimate of one vehicle at one service time as it may be stated: with its protection level."""
+        """Return the estimate of one vehicle at one service time, with its protection level."""
         where, s = self._stages.estimator.estimate(sysid, at_s), self._stages
         if isinstance(where, NoEstimate):
             return where
         return s.integrity.protect(self.report, where, Exposure(self._knows_delays, self._shown_until_s(where)))
 
     def _shown_until_s(self, where: Estimate) -> float | None:
-        """Return until when attitude with airspeed, or a trusted receiver, shows how it has moved; None: neither does."""
+        """Return until when it is shown how a vehicle has moved, s; None where nothing shows it.
+
+        Attitude with airspeed shows it, and so do the reported positions of a trusted vehicle. The time is service time.
+        """
         s, times_s = self._stages, []
         vehicle, attitude_at_s = s.telemetry.get(where.vehicle), s.measurements.attitude_at_s(where.vehicle)
         has_air_data = vehicle is not None and vehicle.has_air_data(where.at_s) and not where.refuses_air_data
@@ -119,7 +125,10 @@ class FleetReview:
         )
 
     def estimate_to_send(self, sysid: int, at_s: float) -> Estimate | NoEstimate:
-        """Return the estimate for a fix, and remember where it is: a barometer's height is one over that place."""
+        """Return the estimate for a fix, and keep its horizontal position.
+
+        An altitude that is measured without GPS becomes an up coordinate over that place.
+        """
         where = self.estimate(sysid, at_s)
         self._set_located(sysid, where)
         return where
@@ -185,7 +194,10 @@ class FleetReview:
         return s.aiding.view(vehicle, s.gps_health[sysid].state, has_duplicate_id=s.clocks.has_duplicate_id(sysid))
 
     def review_readiness(self, now_s: float) -> None:
-        """Predict one healthy vehicle without GPS, where one is due. The estimator's residuals must have been drained."""
+        """Predict one healthy vehicle without its GPS, where one is due.
+
+        The estimator's residuals must have been drained.
+        """
         s = self._stages
         vehicle = self.readiness.due(s.telemetry, self._is_trusted, now_s)
         if vehicle is None:
@@ -255,7 +267,10 @@ class FleetReview:
         )
 
     def _find_witnesses(self, now_s: float) -> frozenset[int]:
-        """Return the vehicles whose reported positions are tested against the others': nothing bad is known of them."""
+        """Return the witnesses: vehicles of which nothing bad is known.
+
+        Their reported positions are tested against the others'.
+        """
         return frozenset(
             vehicle.sysid
             for vehicle in self._stages.telemetry

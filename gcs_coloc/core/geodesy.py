@@ -1,4 +1,6 @@
-"""Geodesy: WGS 84 coordinates to and from a local east-north-up frame, exact through earth-centred ones.
+"""Geodesy: WGS 84 coordinates to and from a local east-north-up frame.
+
+The conversion is exact, as it goes through earth-centred coordinates.
 
 Heights are taken as ellipsoidal. The service feeds heights above mean sea level: the geoid's undulation is then a
 constant of the whole fleet and cancels, but for a scale error of undulation / earth radius (below 2e-5).
@@ -21,7 +23,10 @@ _EP2 = _E2 / (1.0 - _E2)  # second eccentricity squared, derived from the first
 
 
 def geodetic_to_ecef(lat_deg: float, lon_deg: float, height_m: float) -> Vector3:
-    """Geodetic latitude, longitude (degrees) and height (m) to earth-centred, earth-fixed x, y, z in metres."""
+    """Return the earth-centred, earth-fixed x, y, z (m) of a geodetic latitude, longitude and height.
+
+    Latitude and longitude are in degrees, the height is in m.
+    """
     lat, lon = radians(lat_deg), radians(lon_deg)
     sin_lat = sin(lat)
     normal_m = _SEMI_MAJOR_M / sqrt(1.0 - _E2 * sin_lat * sin_lat)
@@ -30,7 +35,7 @@ def geodetic_to_ecef(lat_deg: float, lon_deg: float, height_m: float) -> Vector3
 
 
 def ecef_to_geodetic(x_m: float, y_m: float, z_m: float) -> Vector3:
-    """Earth-centred, earth-fixed metres to geodetic latitude, longitude (degrees) and height (m)."""
+    """Return the geodetic latitude, longitude (degrees) and height (m) of earth-centred coordinates (m)."""
     p_m = hypot(x_m, y_m)
     beta = atan2(z_m * _SEMI_MAJOR_M, p_m * _SEMI_MINOR_M)
     lat = 0.0
@@ -44,7 +49,10 @@ def ecef_to_geodetic(x_m: float, y_m: float, z_m: float) -> Vector3:
 
 
 def horizontal_distance_m(a_lat_deg: float, a_lon_deg: float, b_lat_deg: float, b_lon_deg: float) -> float:
-    """The straight distance in metres between two places on the ellipsoid, in degrees; along it but for 1e-8 below 3 km."""
+    """Return the straight distance (m) between two places on the ellipsoid, which are in degrees.
+
+    Below 3 km the distance along the ellipsoid is the same to 1e-8.
+    """
     return dist(geodetic_to_ecef(a_lat_deg, a_lon_deg, 0.0), geodetic_to_ecef(b_lat_deg, b_lon_deg, 0.0))
 
 
@@ -57,29 +65,38 @@ class LocalFrame:
         self._axes = _enu_axes(lat_deg, lon_deg)
 
     def enu_from_geodetic(self, lat_deg: float, lon_deg: float, height_m: float) -> Vector3:
-        """Geodetic degrees and metres to east, north, up in metres about the origin."""
+        """Return the east, north, up coordinates (m) of a place in degrees and m."""
         x, y, z = geodetic_to_ecef(lat_deg, lon_deg, height_m)
         ox, oy, oz = self._origin
         return _rotate(self._axes, (x - ox, y - oy, z - oz))
 
     def geodetic_from_enu(self, east_m: float, north_m: float, up_m: float) -> Vector3:
-        """East, north, up in metres about the origin to geodetic latitude, longitude (degrees) and height (m)."""
+        """Return the geodetic latitude, longitude (degrees) and height (m) of east, north, up coordinates."""
         dx, dy, dz = _rotate_back(self._axes, (east_m, north_m, up_m))
         ox, oy, oz = self._origin
         return ecef_to_geodetic(ox + dx, oy + dy, oz + dz)
 
     def enu_from_ned_velocity(self, lat_deg: float, lon_deg: float, ned: Vector3) -> Vector3:
-        """A velocity in the north, east, down axes of a place (degrees) to the frame's east, north, up axes; m/s."""
+        """Return a velocity (m/s) in the frame's east, north, up axes.
+
+        It is given in the north, east, down axes of a place (degrees).
+        """
         vn, ve, vd = ned
         return _rotate(self._axes, _rotate_back(_enu_axes(lat_deg, lon_deg), (ve, vn, -vd)))
 
     def ned_from_enu_velocity(self, lat_deg: float, lon_deg: float, enu: Vector3) -> Vector3:
-        """A velocity in the frame's axes to the north, east, down axes of a place (degrees); m/s."""
+        """Return a velocity (m/s) in the north, east, down axes of a place (degrees).
+
+        It is given in the frame's east, north, up axes.
+        """
         ve, vn, vu = _rotate(_enu_axes(lat_deg, lon_deg), _rotate_back(self._axes, enu))
         return vn, ve, -vu
 
     def up_from_height(self, east_m: float, north_m: float, height_m: float) -> float:
-        """The up coordinate of a height (m) over the place that lies at east, north: the earth falls away from the plane."""
+        """Return the up coordinate of a height (m) over the place that lies at east, north.
+
+        The earth falls away from the frame's plane, so it is not just the height above the origin.
+        """
         up_m = height_m - self.height_m
         for _ in range(2):
             up_m += height_m - self.geodetic_from_enu(east_m, north_m, up_m)[2]

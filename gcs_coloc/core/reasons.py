@@ -12,7 +12,10 @@ DOCTOR_NAMES_SETTINGS = "gcs-coloc doctor names the settings"
 
 
 class WordedReason(Enum):
-    """A reason to branch on with its wording: `{value}` is what was found, `{limit}` what is allowed, `{detail}` other words."""
+    """A reason that a program branches on, with its wording.
+
+    In the wording `{value}` is what was found, `{limit}` what is allowed, and `{detail}` other words.
+    """
 
     def __init__(self, code: str, wording: str) -> None:
         self.code = code

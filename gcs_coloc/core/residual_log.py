@@ -1,4 +1,7 @@
-"""What the estimator made of the ranges of late: the newest residual of each pair, and each vehicle's consistency."""
+"""The residual log: what the estimator made of the ranges of the last seconds.
+
+It has the newest residual of each pair, and each vehicle's consistency. `RangeJumps` finds devices that are off.
+"""
 
 from __future__ import annotations
 
@@ -28,10 +31,11 @@ _JUMP_KEPT = 64  # chosen: bounds the cost; eight rounds of eight peers
 
 @dataclass(frozen=True, slots=True)
 class Consistency:
-    """Whether the innovations of a vehicle's ranges, its own and those to it, have the size that the estimator says.
+    """Whether the innovations of a vehicle's ranges have the size that the estimator states.
 
-    `nis_median` is the median of their normalised innovation squared over the last seconds, refused ones included, with the 95 %
-    band of that median for independent innovations; of `ranges` in all, `refused` were not used.
+    Ranges of the vehicle and ranges to it count. `nis_median` is the median of their normalised innovation squared (NIS) over
+    the last seconds, refused ones included. `band_low` and `band_high` are the 95 % band of that median for independent
+    innovations. Of `ranges` in all, `refused` were not used.
     """
 
     nis_median: float
@@ -58,7 +62,10 @@ class RangeSnapshot:
 
 
 class ResidualLog:
-    """The residuals measured in the last 5 s, at most 4000 of them. Fixes (residuals without a peer) are left out."""
+    """The residuals of ranges measured in the last 5 s, at most 4000 of them.
+
+    Residuals of fixes, which have no peer, are left out.
+    """
 
     def __init__(self) -> None:
         self._recent: deque[Residual] = deque()
@@ -86,19 +93,20 @@ class ResidualLog:
             del newest[pair]
 
     def ranges(self, now_s: float) -> tuple[RangeSnapshot, ...]:
-        """The newest residual of each pair, in the order of the pairs."""
+        """Return the newest residual of each pair, in the order of the pairs."""
         return tuple(
             RangeSnapshot(a, b, now_s - r.measured_at_s, r.innovation_m, r.sigma_m, r.nis, r.refused)
             for (a, b), r in sorted(self._newest.items(), key=lambda newest: newest[0])
         )
 
     def consistency(self) -> Mapping[int, Consistency]:
-        """For each vehicle at an end of a range: the median NIS of its ranges, refused ones included, and the band of it.
+        """Return the consistency of each vehicle at an end of a range.
 
         It is valid until the next `add`.
 
-        Refused ranges count: leaving them out would make every filter look consistent. In the median a few that multipath made
-        too long hardly show, which their mean would be full of; where half of the ranges contradict the position it does.
+        Refused ranges count: without them every filter would look consistent. A few ranges that multipath made too long hardly
+        show in the median, while they would dominate the mean. Where half of the ranges contradict the position the median shows
+        it.
         """
         found = self._consistency
         for end in self._nis.keys() - found.keys():
@@ -107,7 +115,9 @@ class ResidualLog:
         return found
 
     def median_nis(self, excess_m2: Mapping[tuple[int, int], float]) -> dict[int, float]:
-        """The median NIS of each vehicle that has enough ranges to be judged by them; 0.45 for a consistent filter.
+        """Return the median NIS of each vehicle that has enough ranges for it.
+
+        It is 0.45 for a consistent filter.
 
         `excess_m2`: the variance of noise found in the ranges of each pair, which the estimator does not know but the protection
         level covers.
@@ -156,10 +166,12 @@ def _median(ascending: list[float]) -> float:
 
 @lru_cache(maxsize=1024)
 def _band_95(count: int) -> tuple[float, float]:
-    """Where the median of so many independent NIS, chi-square with one degree of freedom each, lies with 95 %.
+    """Return between what the median of `count` independent NIS lies with 95 %.
 
-    Source: the distribution function at the median of n draws is beta distributed with both parameters (n + 1) / 2; exact for
-    odd n, closely so for even.
+    Each NIS is chi-square distributed with one degree of freedom.
+
+    Source: the distribution function at the median of n draws is beta distributed with both parameters (n + 1) / 2. That is
+    exact for odd n, and nearly so for even n.
     """
     # Imported here: scipy.special takes a quarter of a second, which a start in flight does not have. Its gamma function gives
     # the chi-square quantile, as scipy.stats takes twice as long.
@@ -177,12 +189,14 @@ class _Jump:
 
 
 class RangeJumps:
-    """Have all ranges of one device come to be off by one length? Seen in what the estimator refuses, before it gives in to them.
+    """Finds devices whose ranges have all come to be off by one length.
+
+    They show in the ranges that the estimator refuses, before it gives in to them.
 
     Multipath makes single ranges too long, each by a length of its own. When the ranges to every peer are refused one after the
     other, all off by about the same, it is the device, or the clock that it measures by. An estimator whose ranges are refused
-    for long must hold that it is wrong itself, and moves to where they point; so what it says is not to be stated from the first
-    such row of ranges on, until it has been seen where it comes to rest.
+    for long must assume that it is wrong itself, and moves to where they point. So its estimate is not to be stated from the
+    first such row of ranges on, until it has been seen where it comes to rest.
     """
 
     def __init__(self) -> None:
@@ -204,7 +218,10 @@ class RangeJumps:
                     self._jumps[r.from_vehicle] = _Jump(now_s, r.innovation_m)
 
     def sizes_m(self, now_s: float) -> dict[int, float]:
-        """By what length (m) all ranges of a vehicle were found to have jumped within the last second; others are left out."""
+        """Return by what length all ranges of a vehicle jumped within the last second, m.
+
+        Vehicles whose ranges did not are left out.
+        """
         self._jumps = {vehicle: jump for vehicle, jump in self._jumps.items() if now_s - jump.at_s <= _JUMP_REMEMBERED_S}
         return {vehicle: jump.size_m for vehicle, jump in self._jumps.items()}
 

@@ -26,15 +26,16 @@ CATCH_UP_S = 0.05
 
 @dataclass(frozen=True, slots=True)
 class TickSchedule:
-    """Times that lie whole periods after `start_s` (service time), in whole microseconds as the service's clock has them.
+    """Times that lie whole periods after `start_s` (service time, s).
 
-    Where several periods have a time in common it is the same number, to the last bit.
+    They are in whole microseconds, as the service's clock has them. Where several periods have a time in common it is the same
+    number, to the last bit.
     """
 
     start_s: float
 
     def after(self, now_s: float, period_s: float) -> float:
-        """The first time after `now_s` that lies whole periods of `period_s` after the start."""
+        """Return the first time after `now_s` that lies whole periods of `period_s` after the start."""
         periods = floor((now_s - self.start_s) / period_s)
         while (at_s := round(self.start_s + periods * period_s, 6)) <= now_s:
             periods += 1
@@ -43,9 +44,10 @@ class TickSchedule:
 
 @dataclass(frozen=True, slots=True)
 class Overrun:
-    """From `received_at_s` on the service was held up: it answered no deadline before `until_s` (service time, s) until then.
+    """A time for which the service was held up, so that it answered no deadline.
 
-    What it missed it answered once, at `until_s`, when it had received all that arrived before. A replay must do the same.
+    It was held up from `received_at_s` until `until_s` (service time, s). What it missed it answered once, at `until_s`, when it
+    had received all that arrived before. A replay must do the same.
     """
 
     received_at_s: float
@@ -53,9 +55,11 @@ class Overrun:
 
 
 def find_overrun(engine: Engine, at_s: float, now_s: float) -> Overrun | None:
-    """What the engine, which is at service time `at_s` (s), is to leave out since it is `now_s`; None where it keeps up.
+    """Return the overrun of an engine that has fallen behind; None where it keeps up.
 
-    A recording must hold it, before whatever the engine receives from then on.
+    The engine is at service time `at_s` (s), while it is `now_s`.
+
+    A recording must hold the overrun, before whatever the engine receives from then on.
     """
     return Overrun(at_s, now_s) if now_s - engine.next_deadline() > CATCH_UP_S else None
 
@@ -76,7 +80,10 @@ def advance(engine: Engine, to_s: float, held_up_until_s: float = float("-inf"))
 
 
 def without_superseded(outputs: list[Outbound]) -> list[Outbound]:
-    """The outputs without the aid that a later one of its kind to the same vehicle replaces: no old position is sent late."""
+    """Return the outputs without the aiding messages that a later output replaces.
+
+    A later one of the same kind to the same vehicle replaces a message, so that no old position is sent late.
+    """
     last = {(type(output), output.sysid): i for i, output in enumerate(outputs) if isinstance(output, AidingMessage)}
     return [
         output

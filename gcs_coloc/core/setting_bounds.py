@@ -1,4 +1,7 @@
-"""Bounds of settings: declared beside each default, checked when the settings are made, printed in the reference."""
+"""The bounds of settings, declared beside each default.
+
+They are checked when the settings are made, and printed in the reference.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +15,17 @@ _KEY = "bounds"
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """The numbers that a setting may be; infinity where there is no bound. `open_below`: the least is excluded."""
+    """The least and the most that a setting may be; infinity where there is no bound.
+
+    `open_below`: the least is excluded.
+    """
 
     least: float = -math.inf
     most: float = math.inf
     open_below: bool = False
 
     def admit(self, value: float) -> bool:
-        """Whether a finite number lies within."""
+        """Return whether a finite number lies within."""
         return (
             math.isfinite(value) and (value > self.least or (not self.open_below and value == self.least)) and value <= self.most
         )
@@ -43,7 +49,7 @@ def between(default: T, least: float, most: float = math.inf) -> T:
 
 
 def field_bounds(one: Field[Any]) -> Bounds | None:
-    """The bounds that a field of settings declares."""
+    """Return the bounds that a field of settings declares; None where it declares none."""
     return one.metadata.get(_KEY)
 
 

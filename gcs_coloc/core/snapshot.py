@@ -25,7 +25,10 @@ _ATTITUDE_FRESH_S = 3.0  # chosen: an older heading is not drawn
 
 @dataclass(frozen=True, slots=True)
 class LinkSnapshot:
-    """Frames of one vehicle since the start: received without copies, missing by their sequence numbers, and copies."""
+    """Counts of one vehicle's frames since the start of the service.
+
+    `received` is without copies, `lost` are missing by their sequence numbers, `duplicates` are the copies.
+    """
 
     sysid: int
     received: int
@@ -35,8 +38,10 @@ class LinkSnapshot:
 
 @dataclass(frozen=True, slots=True)
 class OutSnapshot:
-    """The ground tools behind one connection string: how many can be sent to now, frames handed on to them, frames taken from
-    them, how often what they were slow to take was dropped, and how often what they sent was refused, since the start.
+    """The ground tools behind one connection string, with counts since the start of the service.
+
+    `tools`: how many can be sent to now. `frames_sent`: frames handed on to them. `frames_accepted`: frames taken from them.
+    `dropped`: how often what they were slow to take was dropped. `refused`: how often what they sent was refused.
     """
 
     name: str
@@ -50,7 +55,9 @@ class OutSnapshot:
 # Not frozen, and yet nobody changes one: to make one of so many fields would take four times as long, many times a second.
 @dataclass(slots=True)
 class VehicleSnapshot:
-    """One vehicle as the service sees it. Positions in degrees and metres above mean sea level; None where unknown.
+    """One vehicle as the service sees it; a field is None where it is unknown.
+
+    Positions are in degrees and metres above mean sea level.
 
     `name` is what the configuration calls it.
     `lat_deg`, `lon_deg`, `alt_msl_m` are the service's estimate, `reported_*` is what the vehicle says of itself.

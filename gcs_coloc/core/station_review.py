@@ -1,4 +1,7 @@
-"""The review of a fleet's stations: where they are goes to estimator and integrity, what integrity finds of them to people."""
+"""The review of a fleet's stations: hands on where they are, and what is found of them.
+
+Their positions go to the estimator and to integrity. What integrity finds of them is told to people.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +55,10 @@ class StationReview:
         self._faults: dict[int, PositionFault] = {}
 
     def witnesses(self, now_s: float) -> list[ReviewedVehicle]:
-        """Return the stations as a review of integrity takes them; a position that is new goes to the estimator."""
+        """Return the stations as a review of integrity takes them.
+
+        A position that is new goes to the estimator. Where no vehicle has set the fleet's origin in time, a station does.
+        """
         s = self._stages
         first_ranged_s = s.stations.first_ranged_s
         if s.measurements.frame is None and first_ranged_s is not None and now_s - first_ranged_s >= _ORIGIN_AFTER_S:
@@ -63,7 +69,10 @@ class StationReview:
         return [self._reviewed(station, frame, now_s) for station in s.stations if station.position is not None]
 
     def update(self, report: IntegrityReport, now_s: float) -> list[Notice]:
-        """Keep what integrity found of the stations, and seek one without position; return what the operator must know."""
+        """Keep what integrity found of the stations; return what the operator must know.
+
+        It also seeks one station that has no position.
+        """
         faults = {station.node: report.faults[station.node] for station in self._stages.stations if station.node in report.faults}
         before, self._faults = self._faults, faults
         out = []
@@ -78,7 +87,7 @@ class StationReview:
         return [*out, *self._seek(now_s)]
 
     def _seek(self, now_s: float) -> list[Notice]:
-        """Return where one station without position is, or why it is not found, where that is new."""
+        """Seek one station without position; return where it is, or why it is not found, where that is new."""
         s, frame = self._stages, self._stages.measurements.frame
         if frame is None or (sought := s.survey.solve_next()) is None:
             return []
