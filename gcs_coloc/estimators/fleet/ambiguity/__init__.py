@@ -1,1 +1,1 @@
-"""Which side of its peers a denied vehicle is on: reflections that its ranges cannot tell from its position."""
+"""Reflection ambiguity: the side of its peers that a denied vehicle is on, where ranges fit both."""

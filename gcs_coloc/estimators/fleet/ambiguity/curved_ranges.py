@@ -1,8 +1,9 @@
-"""How far beyond its covariance a denied vehicle may be where its ranges are curved: beside peers near one line, eq. (35).
+"""Uncertainty that a denied vehicle's covariance leaves out where its ranges are curved, eq. (35).
 
-A range across its own direction changes with the square of the offset from the line of the peers. The filter takes the slope of
-that parabola where it believes the vehicle to be, and further out the slope is steeper. So a vehicle that is believed too far
-out is believed too exactly: the true place fits the ranges much better than the slope there tells.
+It matters beside peers that are nearly on one line. A range across its own direction changes with the square of the offset from
+the line of the peers. The filter takes the slope of that parabola where it believes the vehicle to be, and further out the slope
+is steeper. So a vehicle that is believed too far out is believed too exactly: the true place fits the ranges much better than the
+slope there tells.
 
 Denied vehicles that range each other are too far out together. So those whose positions move with the vehicle's, by their
 covariance, are moved with it, and their ranges count as well.
@@ -45,7 +46,10 @@ Horizontal = tuple[float, float]
 
 
 class _Pair(NamedTuple):
-    """A range in use from a vehicle that moves to one that may stand still, whose states are `behind_s` older."""
+    """A range in use between a vehicle that is moved, `own`, and its neighbour, `end`.
+
+    The neighbour may stand still or be moved too. Its states are `behind_s` seconds older.
+    """
 
     own: RangeEnd
     end: RangeEnd
@@ -55,11 +59,11 @@ class _Pair(NamedTuple):
 def curvature_covariances(
     cluster: Cluster, vehicle: int, covariance: FloatArray, at_s: float
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Return what curved ranges add to the horizontal covariance of a denied vehicle, each (2, 2) m^2; None if nothing.
+    """Return what curved ranges add to the horizontal covariance of a denied vehicle.
 
-    The first is for the 95 % bound, the second for the protection level, which looks further out. Along the worst direction an
-    offset d costs d^2 / sigma^2 by the filter. What the ranges have in it, at the slopes of the estimate, is replaced by what
-    they really come to at d, eq. (35).
+    These are two matrices (2, 2) in m^2. None means that the ranges add nothing. The first is for the 95 % bound, the second for
+    the protection level, which looks further out. Along the worst direction an offset d costs d^2 / sigma^2 by the filter. What
+    the ranges have in it, at the slopes of the estimate, is replaced by what they really come to at d, eq. (35).
     """
     peers = cluster.peers_in_use(vehicle, at_s)
     sigma_m, _, angle_rad = error_ellipse(covariance.item(0, 0), covariance.item(0, 1), covariance.item(1, 1))
@@ -73,7 +77,11 @@ def curvature_covariances(
 
 
 def _moves(cluster: Cluster, vehicle: int, direction: Horizontal) -> dict[int, Horizontal]:
-    """Return by how much each denied vehicle moves per metre of the vehicle along a direction: the regression on its position."""
+    """Return how far each denied vehicle moves per metre that one vehicle moves in a direction.
+
+    The values are east and north, by the regression on the vehicle's position. Others that move by less than `_MOVES_ALONG` are
+    left out.
+    """
     joint = cluster.joint
     own = joint.where[vehicle].start
     P = joint.covariance(vehicle)[:2, :2]
@@ -89,7 +97,10 @@ def _moves(cluster: Cluster, vehicle: int, direction: Horizontal) -> dict[int, H
 
 
 def _are_curved(cluster: Cluster, vehicle: int, units: Mapping[int, Vector3], direction: Horizontal, sigma_m: float) -> bool:
-    """Whether the slopes of the ranges along a direction change within a sigma; seldom, so it costs little."""
+    """Return whether the slopes of the ranges along a direction change within one sigma.
+
+    They seldom do, so this cheap test comes first.
+    """
     A, where = cluster.joint.A, cluster.joint.where
     own = where[vehicle].start
     e, n = A.item(0, own), A.item(0, own + 1)
@@ -104,7 +115,10 @@ def _are_curved(cluster: Cluster, vehicle: int, units: Mapping[int, Vector3], di
 
 
 def _reach_sigmas(cluster: Cluster, moves: Mapping[int, Horizontal], at_s: float, sigma_m: float) -> tuple[float, float]:
-    """Return the largest offsets, to either side, whose cost is that of near and far, in sigmas; `moves` as of one metre."""
+    """Return the offsets, in sigmas, whose costs are those of `_NEAR_SIGMAS` and `FAR_SIGMAS`.
+
+    Each is the larger one of both sides. `moves` holds how far each vehicle moves per metre of the offset.
+    """
     pairs = _pairs(cluster, moves, at_s)
     vectors_m = np.array([_vector_m(*pair) for pair in pairs])
     distances_m = np.maximum(np.sqrt((vectors_m * vectors_m).sum(axis=1)), _LEAST_DISTANCE_M)
@@ -153,7 +167,10 @@ def _first_beyond(cost: FloatArray, sigmas: float) -> float:
 
 
 def _distance_covariance(cluster: Cluster, pairs: list[_Pair], units: FloatArray, moves: Mapping[int, Horizontal]) -> FloatArray:
-    """Return the covariance (k, k) of the distances of k pairs by the errors of what does not move, and of the pairs, m^2."""
+    """Return the covariance (k, k) of the distances of k pairs, m^2.
+
+    It counts the errors of the vehicles that are not moved, and those of the pairs.
+    """
     joint = cluster.joint
     H = np.vstack([
         cluster.range_jacobian(own, end, (unit[0], unit[1], unit[2]))[0]

@@ -1,4 +1,7 @@
-"""The geometry of a denied vehicle and its peers: positions, distances and range sigmas, computed only as far as needed."""
+"""Geometry of a denied vehicle and its peers: positions, distances and the sigmas of ranges.
+
+Covariances are computed only where a test needs them.
+"""
 
 from __future__ import annotations
 
@@ -26,10 +29,11 @@ _LEAST_DISTANCE_M = 1.0
 
 
 class PeerGeometry:
-    """Positions of a denied vehicle and its peers at a time, with bounds on their uncertainty that cost little.
+    """Positions of a denied vehicle and its peers at one time, with bounds on their uncertainty.
 
-    `offset` is the vehicle's position relative to the mean `centre` of its peers, `offsets` theirs, `distance_m` its distances.
-    `largest_sigma_m` bounds the sigma of the vector between the vehicle and any peer in any direction.
+    The bounds cost little to compute. `offset` is the vehicle's position relative to the mean `centre` of its peers, `offsets`
+    theirs, `distance_m` its distances. `largest_sigma_m` bounds the sigma of the vector between the vehicle and any peer in any
+    direction.
     """
 
     def __init__(self, cluster: Cluster, denied_vehicle: int, peers: list[int], at_s: float) -> None:
@@ -58,12 +62,18 @@ class PeerGeometry:
                 self._altitude_sigma_m = m.sigma_m
 
     def least_range_sigmas_m(self) -> Iterator[float]:
-        """Lower bounds of the largest range sigma, m: first one that costs nothing, then the sigma to one peer."""
+        """Yield lower bounds of the largest range sigma, m, the cheapest one first.
+
+        The first is a constant. The second is the sigma of the distance to one peer.
+        """
         yield LEAST_SIGMA_M
         yield math.sqrt(max(float(self.difference_covariance(0)[0, 0]), 0.0))
 
     def difference_covariance(self, i: int) -> FloatArray:
-        """Return the covariance (4, 4) of the vector from peer i to the vehicle: along the line between them, east, north, up."""
+        """Return the covariance (4, 4) of the vector from peer i to the vehicle, m^2.
+
+        Its components are along the line between them, east, north and up.
+        """
         (e, n, u), (pe, pn, pu), distance_m = self.offset, self.offsets[i], self.distance_m[i]
         unit = ((e - pe) / distance_m, (n - pn) / distance_m, (u - pu) / distance_m)
         covariance = self.cluster.joint.predict_measurement(self.cluster.range_jacobian(self.own, self.peers[i], unit))[1]
@@ -85,7 +95,10 @@ class PeerGeometry:
         return math.sqrt(2.0 * range_sigma_m * self.nearest_m)
 
     def line(self) -> tuple[tuple[float, float], float]:
-        """Return the unit vector (east, north) along which the peers spread most, and the sum of squares along it, m^2."""
+        """Return the horizontal direction in which the peers spread most, and how far they do.
+
+        The direction is a unit vector (east, north). The spread is the sum of squares along it, m^2.
+        """
         ee = en = nn = 0.0
         for e, n, _ in self.offsets:
             ee += e * e
@@ -96,9 +109,10 @@ class PeerGeometry:
         return (math.cos(course), math.sin(course)), mean + radius
 
     def range_separation(self, normal: FloatArray, offset_m: float, range_variances_m2: FloatArray) -> float:
-        """Return the squared normalised difference of the ranges between both sides of a plane, at a distance from it.
+        """Return the squared normalised difference of the ranges between both sides of a plane.
 
-        `normal` (3,) is its unit normal, `range_variances_m2` (k,) are the variances of the distances to the peers.
+        It holds for a vehicle at the distance `offset_m` from the plane. `normal` (3,) is its unit normal, `range_variances_m2`
+        (k,) are the variances of the distances to the peers.
         """
         separation = 2.0 * offset_m * (np.array(self.offsets) @ normal) / np.array(self.distance_m)
         # A lasting error is one piece of evidence however many ranges there are, so it has to be two sigmas by itself.
@@ -112,13 +126,13 @@ class PeerGeometry:
         return (2.0 * offset_m * upwards / self._altitude_sigma_m) ** 2
 
     def has_second_place(self, normal: FloatArray, within: FloatArray, variance_m2: float) -> bool:
-        """Whether ranges that separate the sides of a plane may nearly fit a second place, where a filter may stay.
+        """Return whether ranges that separate the sides of a plane may nearly fit a second place.
 
-        `normal` (3,) is its unit normal, `variance_m2` that of the vehicle along it, `within` (3, m) the axes in the plane along
-        which the vehicle is free. Off the plane by x, the range to a peer that is off it by y is longer by x^2 / 2d - x y / d.
-        With the even and the odd coefficients e and o, the sum of squares for a vehicle at z is
-        (x - z)^2 |(x + z) e + o|^2. What of o is along e moves the plane; with the rest of it, o', there is a second minimum
-        where z^2 |e|^2 > 2 |o'|^2, eq. (40). A vehicle may be four sigmas off.
+        A filter may stay at such a place. `normal` (3,) is the plane's unit normal, `variance_m2` that of the vehicle along it,
+        `within` (3, m) the axes in the plane along which the vehicle is free. Off the plane by x, the range to a peer that is off
+        it by y is longer by x^2 / 2d - x y / d. With the even and the odd coefficients e and o, the sum of squares for a vehicle
+        at z is (x - z)^2 |(x + z) e + o|^2. What of o is along e moves the plane; with the rest of it, o', there is a second
+        minimum where z^2 |e|^2 > 2 |o'|^2, eq. (40). A vehicle may be four sigmas off.
         """
         offsets, distances_m = np.array(self.offsets), np.array(self.distance_m)
         free, _ = np.linalg.qr((np.array(self.offset) - offsets) @ within / distances_m[:, np.newaxis])
@@ -127,9 +141,10 @@ class PeerGeometry:
         return 2.0 * (ee * oo - eo * eo) < NEAR_SIGMAS**2 * variance_m2 * ee * ee
 
     def may_be_ambiguous(self, normal: FloatArray, within: FloatArray) -> bool:
-        """Whether the side of a plane through the centre may be ambiguous, by bounds that hold for any covariances.
+        """Return whether it may be ambiguous on which side of a plane the vehicle is.
 
-        The vehicle is near the plane, and the ranges do not separate the sides, or nearly fit a second place.
+        The plane goes through the centre of the peers. Its side may be ambiguous where the vehicle is near the plane and the
+        ranges do not separate the sides, or nearly fit a second place. The bounds used hold for any covariances.
         """
         ne, nn, nu = normal.tolist()
         offset_m = self.offset[0] * ne + self.offset[1] * nn + self.offset[2] * nu
@@ -145,7 +160,10 @@ class PeerGeometry:
 
 
 def _largest_sigma_m(cluster: Cluster, end: RangeEnd) -> float:
-    """Return a bound on the sigma of a vehicle's position in any direction, m: as if all its errors were one."""
+    """Return an upper bound on the sigma of a vehicle's position in any direction, m.
+
+    It adds the sigmas of all errors as if these were fully correlated.
+    """
     A, p = cluster.joint.A, end.where.start
     position_sigma_m = math.sqrt(A.item(p, p) + A.item(p + 1, p + 1) + A.item(p + 2, p + 2))
     if end.time_stamp_offset_s is None:

@@ -1,9 +1,10 @@
-"""What ranges say of a denied vehicle's state: CUSUM test of the refused ones, and signs that it is on the wrong side.
+"""Evidence from ranges that a denied vehicle's state is wrong, or on the wrong side of its peers.
 
-A gate that locks itself out is the worst failure of a filter: confident and lost. So the refused ranges of a denied vehicle are
-evidence that its state is wrong, the used ones that it is right, eq. (21). Ranges to two peers fit on both sides of the line
-through them: a vehicle on the wrong side finds these two fitting and refuses all others. After a gap it may be on either side;
-the next ranges are linearised at the predicted position, so they confirm the side of the prediction.
+The refused ranges go into a CUSUM test. A gate that locks itself out is the worst failure of a filter: confident and lost. So the
+refused ranges of a denied vehicle are evidence that its state is wrong, the used ones that it is right, eq. (21). Ranges to two
+peers fit on both sides of the line through them: a vehicle on the wrong side finds these two fitting and refuses all others.
+After a gap it may be on either side; the next ranges are linearised at the predicted position, so they confirm the side of the
+prediction.
 """
 
 from __future__ import annotations
@@ -52,7 +53,10 @@ _EITHER_SIDE_SIGMAS = 4.0
 
 
 def monitor_range(cluster: Cluster, vehicle: int, other: int, result: UpdateResult, m: RangeMeasurement) -> None:
-    """Record the result of a denied vehicle's range with another vehicle; inflate its covariance when the CUSUM test fails."""
+    """Record the result of a denied vehicle's range; inflate its covariance if the CUSUM test fails.
+
+    `other` is the vehicle at the other end of the range.
+    """
     record = cluster.records[vehicle]
     if result.degrees_of_freedom > 0:
         record.reflection_evidence = update_reflection_evidence(record.reflection_evidence, cluster, vehicle, other, result, m)
@@ -82,9 +86,10 @@ def monitor_range(cluster: Cluster, vehicle: int, other: int, result: UpdateResu
 
 
 def unresolved_outlier_variance_m2(record: VehicleRecord) -> float:
-    """Return the variance (m^2) to add to an estimate while it is unresolved whether the state or a refused range is wrong.
+    """Return the variance, m^2, to add to an estimate while a refused range is unresolved.
 
-    It counts from the second refused range in a row on: a single one is an outlier.
+    Unresolved means that either the state or the range may be wrong. It counts from the second refused range in a row on: a
+    single one is an outlier.
     """
     if record.unresolved_outlier is None or record.cusum < 2.0 * _CUSUM_REFUSED:
         return 0.0
@@ -114,7 +119,10 @@ def _is_resolved(record: VehicleRecord, refused: UnresolvedOutlier, at_s: float,
 
 
 class SavedEstimate(NamedTuple):
-    """The horizontal estimate of a denied vehicle before a range: mean in m, covariance in m^2, larger sigma in m."""
+    """The horizontal estimate of a denied vehicle before a range.
+
+    It holds the mean in m and the covariance in m^2. `sigma_m` is the sigma along the major axis.
+    """
 
     east_m: float
     north_m: float
@@ -134,7 +142,7 @@ def save_estimate(cluster: Cluster, denied_vehicle: int, at_s: float | None = No
 
 
 def plane_after_gap(before: SavedEstimate, cluster: Cluster, denied_vehicle: int, at_s: float) -> ReflectionPlane | None:
-    """Return the plane through the peers where only ranges after a gap decided the side; None where they did not."""
+    """Return the plane through the peers if only ranges after a gap decided the side, else None."""
     if horizontal_sigma_m(cluster.joint.covariance(denied_vehicle)) > _SMALLER_SHARE * before.sigma_m:
         return None
     plane = vertical_plane_through_line(cluster, denied_vehicle, at_s)
@@ -154,7 +162,10 @@ def update_reflection_evidence(
     result: UpdateResult,
     m: RangeMeasurement,
 ) -> ReflectionEvidence | None:
-    """Return the evidence for the reflected state of a denied vehicle after one more range with another vehicle."""
+    """Return the evidence for the reflected state of a denied vehicle after one more range.
+
+    `other` is the vehicle at the other end of that range. None means that there is no evidence.
+    """
     if not result.used and _fits_reflection(cluster, denied_vehicle, other, result, m):
         return ReflectionEvidence(other, 1 if before is None else before.ranges + 1)
     return None if before is not None and before.neighbour == other else before
@@ -163,14 +174,20 @@ def update_reflection_evidence(
 def plane_of_refused_ranges(
     evidence: ReflectionEvidence | None, cluster: Cluster, denied_vehicle: int, at_s: float
 ) -> ReflectionPlane | None:
-    """Return the plane on whose other side the refused ranges place a denied vehicle; None where they are too few."""
+    """Return the plane on whose other side the refused ranges place a denied vehicle.
+
+    None means that the ranges are too few, or that the peers define no plane.
+    """
     if evidence is None or evidence.ranges < _ENOUGH_RANGES:
         return None
     return _plane_without(cluster, denied_vehicle, evidence.neighbour, at_s)
 
 
 def _plane_without(cluster: Cluster, denied_vehicle: int, neighbour: int, at_s: float) -> ReflectionPlane | None:
-    """Return the vertical plane through the two peers in use beside one neighbour; None where they are not two."""
+    """Return the vertical plane through the two peers in use other than one neighbour.
+
+    None means that they are not two, or define no plane.
+    """
     peers = [peer for peer in cluster.peers_in_use(denied_vehicle, at_s) if peer != neighbour]
     return vertical_plane_through(cluster, denied_vehicle, peers, at_s) if len(peers) == 2 else None
 

@@ -1,4 +1,4 @@
-"""Reflection of a denied vehicle's state in a plane through its peers: when it is possible, and the reflected state.
+"""Reflection of a denied vehicle's state in a plane through its peers, and when it is possible.
 
 Ranges with peers in one plane are the same on both sides of it: right and left of peers on one line, above and below peers at
 one height. Near the plane the ranges hardly observe the motion across it either, so an unobserved turn may lead to either side.
@@ -41,8 +41,9 @@ CLEARLY_ASIDE_SIGMAS = 1.0
 
 @dataclass(frozen=True, slots=True)
 class ReflectionPlane:
-    """The plane that reflects: a point `point_m` (3,), unit normal (3,), and its speed along the normal at the vehicle, m/s.
+    """The plane through its peers in which a vehicle's state is reflected.
 
+    `point_m` (3,) is a point in it and `normal` (3,) its unit normal. `speed_mps` is its speed along the normal at the vehicle.
     `ranges_separate`: the peers are so far off it that the ranges will decide between its sides.
     """
 
@@ -53,7 +54,7 @@ class ReflectionPlane:
 
 
 def find_reflection_plane(cluster: Cluster, denied_vehicle: int, at_s: float) -> ReflectionPlane | None:
-    """Return the plane of a vehicle's peers if the measurements leave open on which side the vehicle will be.
+    """Return the plane of a vehicle's peers if it is open on which side the vehicle will be.
 
     It is the vertical plane through peers on one line, or the level plane through three or more where no height is measured.
     None where the ranges separate its sides and fit no second place, the vehicle is too far from it to have changed sides, it
@@ -141,17 +142,21 @@ def find_joint_reflection(cluster: Cluster, denied_vehicle: int, at_s: float) ->
 def vertical_plane_through_line(
     cluster: Cluster, denied_vehicle: int, at_s: float, group: frozenset[int] = frozenset()
 ) -> ReflectionPlane | None:
-    """Return the vertical plane through the ranged peers of a denied vehicle where they are on one line, else None.
+    """Return the vertical plane through the ranged peers of a denied vehicle if they are on one line.
 
-    They are as long as the ranges to them do not separate the sides of the plane at the vehicle's distance from it, or nearly
-    fit a second place. The peers of a `group` that is reflected together are those of all its vehicles outside of it.
+    None if they are not. They count as on one line as long as the ranges to them do not separate the sides of the plane at the
+    vehicle's distance from it, or nearly fit a second place. The peers of a `group` that is reflected together are those of all
+    its vehicles outside of it.
     """
     peers = _ranged_peers(cluster, group or {denied_vehicle}, at_s)
     return vertical_plane_through(cluster, denied_vehicle, peers, at_s) if len(peers) >= 2 else None
 
 
 def vertical_plane_through(cluster: Cluster, denied_vehicle: int, peers: list[int], at_s: float) -> ReflectionPlane | None:
-    """Return the vertical plane that two or more peers are in; None where they are in none, or all at one place."""
+    """Return the vertical plane that two or more peers are in, or None.
+
+    There is none where the peers are not on one line, or are all at one place.
+    """
     view = PeerGeometry(cluster, denied_vehicle, peers, at_s)
     normal, along, longest_m2 = _axes_of_line(view)
     if longest_m2 < _LEAST_SPREAD_M**2:
@@ -167,9 +172,10 @@ def vertical_plane_through(cluster: Cluster, denied_vehicle: int, peers: list[in
 
 
 def only_motion_separates(cluster: Cluster, group: frozenset[int], at_s: float, line: ReflectionPlane | None) -> bool:
-    """Whether only the process model separates the sides for the denied vehicles that are reflected together.
+    """Return whether only the process model separates the sides for denied vehicles of a group.
 
-    Their peers are two or on one straight `line`, or three where no height is measured, and of one of them there is no air data.
+    The group is reflected together. Its peers are two or on one straight `line`, or three where no height is measured, and at
+    least one of its vehicles has no air data.
     """
     most = 2 if all(cluster.records[vehicle].has_height for vehicle in group) else 3
     few = (line is not None and not line.ranges_separate) or len(_ranged_peers(cluster, group, at_s)) <= most
@@ -201,9 +207,9 @@ def reflect(cluster: Cluster, denied_vehicle: int, plane: ReflectionPlane) -> No
 def mixture(
     means: Sequence[FloatArray], covariances: Sequence[FloatArray], log_odds: Sequence[float]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return mean (m,) and covariance (m, m) of a mixture of states, eq. (25); `log_odds` are against one of them.
+    """Return mean (m,) and covariance (m, m) of a mixture of states, eq. (25).
 
-    The covariance is at least such that each state is within three sigmas.
+    `log_odds` are against any one of the states. The covariance is at least such that each state is within three sigmas.
     """
     odds = np.exp(np.array(log_odds) - max(log_odds))
     shares = odds / odds.sum()
@@ -220,7 +226,10 @@ def mixture(
 
 
 def _ranged_peers(cluster: Cluster, group: Collection[int], at_s: float) -> list[int]:
-    """Return the peers of denied vehicles with recent ranges, used or refused: a refused one separates the sides best."""
+    """Return the peers to which denied vehicles have recent ranges, used or refused.
+
+    A refused range separates the sides best.
+    """
     ranged = {v: t for vehicle in group for v, t in cluster.records[vehicle].last_range_s.items() if at_s - t <= IN_USE_S}
     return [v for v in ranged if v in cluster.joint.where and v not in group]
 
@@ -247,7 +256,10 @@ def _is_near_line(view: PeerGeometry) -> bool:
 
 
 def _axes_of_line(view: PeerGeometry) -> tuple[FloatArray, FloatArray, float]:
-    """Return of the line of the peers its horizontal unit normal (3,), its axis (3, 1) and their sum of squares along it, m^2."""
+    """Return the horizontal unit normal (3,) and the axis (3, 1) of the line of the peers.
+
+    The third value is the sum of squares of the peers along the line, m^2.
+    """
     (e, n), longest_m2 = view.line()
     return np.array([-n, e, 0.0]), np.array([[e], [n], [0.0]]), longest_m2
 
@@ -260,7 +272,11 @@ def _plane_of_line(view: PeerGeometry, *, ranges_separate: bool = False) -> Refl
 
 
 def _test_plane(view: PeerGeometry, normal: FloatArray, within: FloatArray, least_spread_m2: float) -> ReflectionPlane | None:
-    """Test one plane: unit normal (3,), axes within it (3, m), and the least sum of squares of the peers along these."""
+    """Return the plane with a given normal if the vehicle may be on either side of it, else None.
+
+    `normal` (3,) is a unit vector, and `within` (3, m) are the axes in the plane. `least_spread_m2` is the least sum of squares
+    of the peers along these axes.
+    """
     offsets, offset, upwards = np.array(view.offsets), np.array(view.offset), abs(float(normal[2]))
     away_m = float(offset @ normal)
     variances_m2, across_m2, blind_m = view.seen_from(normal)
@@ -295,9 +311,10 @@ def _test_plane(view: PeerGeometry, normal: FloatArray, within: FloatArray, leas
 
 
 def _plane_speed(view: PeerGeometry, within_m: FloatArray, at_m: FloatArray, normal: FloatArray) -> float:
-    """Return the speed along its normal, m/s, of the plane through the peers, at a point `at_m` (m,) in it.
+    """Return the speed along its normal, m/s, of the plane through the peers, at a point in it.
 
-    `within_m` (k, m) holds the coordinates of the peers in the plane about their mean.
+    `at_m` (m,) holds the coordinates of the point and `within_m` (k, m) those of the peers, in the plane about the mean of the
+    peers.
     """
     speeds = np.array([peer.velocity for peer in view.peers]) @ normal
     slopes = np.linalg.solve(within_m.T @ within_m, within_m.T @ speeds)
