@@ -1,7 +1,7 @@
-"""Unrolled kernels for speed: F and Q of one vehicle and the range Jacobian, entry by entry in flat views.
+"""Unrolled kernels for speed: F and Q of one vehicle and the range Jacobian, entry by entry.
 
-Writing single elements of a numpy array costs twice the time. The plain matrix forms stand in
-tests/unit/estimators/fleet/reference.py; tests hold that both are equal.
+They write in flat views of the matrices. Writing single elements of a numpy array costs twice the time. The plain matrix forms
+stand in tests/unit/estimators/fleet/reference.py; tests hold that both are equal.
 """
 
 from __future__ import annotations
@@ -52,10 +52,10 @@ class Transition:
         return Transition, ()
 
     def set_motion(self, x: Sequence[float], step_s: float, turn_radps: float, *, in_wind: bool) -> tuple[float, ...]:
-        """Write F of eq. (3) and (4); return the first five components of the mean after the step, from `x` (16,).
+        """Write F of eq. (3) and (4); return the first five components of the mean after the step.
 
-        With `in_wind` the velocity through the air turns, without (w = 0) the velocity over ground. The decay of the
-        Gauss-Markov components is not written here.
+        `x` (16,) is the mean before the step. With `in_wind` the velocity through the air turns, without (w = 0) the velocity
+        over ground. The decay of the Gauss-Markov components is not written here.
         """
         angle = turn_radps * step_s
         if abs(angle) < _LEAST_TURN_RAD:
@@ -149,9 +149,10 @@ class Transition:
 
 
 class RangeEnd(NamedTuple):
-    """One end of a range: its slice of the joint state, position (m) by eq. (10), velocity (m/s), time-stamp offset (s).
+    """One end of a range: a vehicle with its position and velocity.
 
-    A static anchor has neither velocity nor time-stamp offset.
+    `where` is its slice of the joint state. The position is that of eq. (10), m. The velocity is in m/s. A static anchor has
+    neither velocity nor time-stamp offset.
     """
 
     vehicle: int
@@ -162,7 +163,10 @@ class RangeEnd(NamedTuple):
 
 
 def range_jacobian(size: int, a: RangeEnd, b: RangeEnd, unit: Vector3) -> FloatArray:
-    """Return the Jacobian (4, size) of the vector from `b` to `a`: along a unit vector, then its east, north and up parts."""
+    """Return the Jacobian (4, size) of the vector from `b` to `a` by all states.
+
+    Its rows are the components along `unit`, east, north and up.
+    """
     G = np.zeros((4, size))
     flat = cast("memoryview[float]", G.reshape(-1).data)
     _write_position(flat, size, a, unit, 1.0)

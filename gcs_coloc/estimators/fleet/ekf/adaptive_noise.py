@@ -1,4 +1,4 @@
-"""Adaptive noise: the coloured/white split of a stream's error, the manoeuvre detector, and the learned level of gusts.
+"""Adaptive noise: coloured/white split of an error, manoeuvre detector and learned noise level.
 
 A receiver states how large its error is, never how it is spread over time. White noise of the stated size makes each report
 differ from the smooth curve through its predecessors; the error of a navigation filter's output hardly does, it drifts over
@@ -54,7 +54,10 @@ Values = tuple[float, ...]
 
 
 def without_time_error(m: PositionMeasurement | RangeMeasurement) -> tuple[float, float]:
-    """Return the sigmas (horizontal, vertical; of a range both the same) in m without the part of the uncertain time."""
+    """Return the sigmas of a measurement, m, without the part that its uncertain time causes.
+
+    They are horizontal and vertical. Those of a range are equal.
+    """
     if isinstance(m, RangeMeasurement):
         sigma_m = _less(m.sigma_m, m.time_sigma_m if m.clock_of is not None else 0.0)
         return sigma_m, sigma_m
@@ -81,7 +84,10 @@ class NoiseSplit:
         self._seen = seen
 
     def updated(self, at_s: float, groups: tuple[Values, ...], sigmas_m: Values) -> NoiseSplit:
-        """Return the split after one more sample: values in m by groups, stated sigmas by group; times must not decrease."""
+        """Return the split after one more sample.
+
+        `groups` holds the values by group, m, and `sigmas_m` the stated sigma of each group. Times must not decrease.
+        """
         history, seen = self._history, self._seen
         if history and not 0.0 < at_s - history[-1][0] <= _LONGEST_GAP_S:
             history = ()
@@ -126,7 +132,10 @@ class NoiseSplit:
         return max(sum_m2, 0.0) / weight if weight > 0.0 else None
 
     def lower_bound_m(self, group: int) -> float:
-        """Return the lower bound of the white sigma of one group, m: the observed one less two standard errors."""
+        """Return the lower bound of the white sigma of one group, m.
+
+        It is below the observed one by two standard errors, and by more after few samples.
+        """
         sum_m2, weight = self._seen[group] if self._seen else _NOTHING_SEEN
         error = math.sqrt(2.0 * _OVERLAP / max(weight, 1.0))
         return math.sqrt(max(sum_m2, 0.0) / ((weight + _PROOF_SAMPLES) * (1.0 + 2.0 * error)))
@@ -184,7 +193,10 @@ class ManoeuvreDetector:
         return max(ratio * ratio, 1.0), max(ratio_v * ratio_v / 3.0, 1.0)
 
     def ratio(self) -> float:
-        """Return c' C^-1 c / 2 of the horizontal corrections, 1 on average under a right model and without data."""
+        """Return c' C^-1 c / 2 of the horizontal velocity corrections.
+
+        It is 1 on average under a right model, and 1 without data.
+        """
         c_e, c_n, C_ee, C_en, C_nn = self.c_e, self.c_n, self.C_ee, self.C_en, self.C_nn
         det = C_ee * C_nn - C_en * C_en
         if det > 1e-9 * C_ee * C_nn and det >= 1e-300:
@@ -201,18 +213,22 @@ _DETECTOR_FIELDS = attrgetter(*(one.name for one in fields(ManoeuvreDetector)))
 
 
 def learned_log_level(log_level: float, ratio: float, since_s: float, time_s: float, bounds: tuple[float, float]) -> float:
-    """Return the logarithm of a level after a time in which squares were `ratio` of those predicted, eq. (30)."""
+    """Return the logarithm of a noise level, adjusted to what the corrections show, eq. (30).
+
+    For the time `since_s` their squares were `ratio` times those predicted. `time_s` is the learning time. `bounds` are those of
+    the level itself.
+    """
     least, most = bounds
     return min(max(log_level + (ratio - _SETTLED_RATIO) * since_s / time_s, math.log(least)), math.log(most))
 
 
 @dataclass(slots=True)
 class NoiseLevel:
-    """Learns how large a noise is against its setting, from the velocity corrections of ranges and position reports, eq. (30).
+    """How large a noise is against its setting, learned from velocity corrections, eq. (30).
 
-    Air data do not count: where they are wrong, as in gusts, they and the ranges correct the velocity to and fro, which cancels
-    in the sum of both. Compare the integral action of an adjustable level of process noise (Bar-Shalom, Li, Kirubarajan 2001,
-    section 11.2).
+    The corrections are those by ranges and position reports. Air data do not count: where they are wrong, as in gusts, they and
+    the ranges correct the velocity to and fro, which cancels in the sum of both. Compare the integral action of an adjustable
+    level of process noise (Bar-Shalom, Li, Kirubarajan 2001, section 11.2).
     """
 
     log_level: float = 0.0
@@ -233,8 +249,9 @@ class NoiseLevel:
             self.log_level = learned_log_level(self.log_level, ratio, since_s, time_s, bounds)
 
     def learn_from_report(self, m: PositionMeasurement, density_m2ps3: float, time_s: float, most: float) -> None:
-        """Adjust the level of a vehicle without states, up to `most`, by the change of the velocity that it reports, eq. (41).
+        """Adjust the level of a vehicle without states by the velocity that it reports, eq. (41).
 
+        The change of that velocity since an earlier report is compared with its prediction. The level rises to `most` at most.
         `density_m2ps3` is that of its white acceleration at level 1, eq. (8).
         """
         if m.velocity_enu_mps is None or m.sigma_velocity_mps is None:

@@ -1,4 +1,4 @@
-"""Calibration of a vehicle's air data while it has GPS: the wind, the errors of airspeed and heading, and the level of gusts.
+"""Calibration of a vehicle's air data with GPS: wind, airspeed and heading errors, gust level.
 
 A vehicle with GPS that nobody ranges has no states, only its latest reports. Three seconds of them show the wind of one gust. So
 every few seconds the velocity of a report is compared with the air data, by eq. (13), in a filter of four components alone.
@@ -37,9 +37,10 @@ class GroundVelocity(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class AirCalibration:
-    """Wind east and north (m/s), errors of airspeed (m/s) and heading (rad): mean (4,), covariance (4, 4) and level of gusts.
+    """The wind, the errors of airspeed and heading, and the level of gusts, as learned so far.
 
-    `nis` is that of the newest sample, with two degrees of freedom.
+    The components of `mean` (4,) and `covariance` (4, 4) are the wind east and north, m/s, the airspeed error, m/s, and the
+    heading error, rad. `nis` is that of the newest sample, with two degrees of freedom.
     """
 
     at_s: float
@@ -51,14 +52,17 @@ class AirCalibration:
 
     @classmethod
     def initial(cls, at_s: float, s: FleetSettings, airspeed_sigma_mps: float | None = None) -> AirCalibration:
-        """Return what is known before any sample: the steady state of eq. (7); of the airspeed's error as told, if it is."""
+        """Return the calibration before any sample: the steady state of eq. (7).
+
+        `airspeed_sigma_mps` replaces the sigma of the airspeed error if it is given.
+        """
         covariance = np.diag(steady_air_m2(s))
         if airspeed_sigma_mps is not None:
             covariance[2, 2] = airspeed_sigma_mps**2
         return cls(at_s, np.zeros(4), covariance, _FIRST_LOG_LEVEL)
 
     def predicted(self, at_s: float, s: FleetSettings) -> AirCalibration:
-        """Return it at a later time, eq. (7)."""
+        """Return the calibration at a later time, eq. (7)."""
         kept = np.exp(-max(at_s - self.at_s, 0.0) / _times_s(s))
         steady = np.diag(steady_air_m2(s) * (1.0 - kept * kept))
         covariance = np.outer(kept, kept) * self.covariance + steady
@@ -67,7 +71,10 @@ class AirCalibration:
     def updated(
         self, at_s: float, ground: GroundVelocity, airspeed_mps: float, yaw_rad: float, s: FleetSettings
     ) -> AirCalibration:
-        """Return it with a velocity over ground, and horizontal airspeed and heading at that time, eq. (13) and (30)."""
+        """Return the calibration after one more sample, eq. (13) and (30).
+
+        The sample is a velocity over ground, with the horizontal airspeed and the heading at that time.
+        """
         before = self.predicted(at_s, s)
         x, P = before.mean, before.covariance
         through_air = ground.east_mps - x.item(0), ground.north_mps - x.item(1)
@@ -88,7 +95,10 @@ class AirCalibration:
 
 
 def steady_air_m2(s: FleetSettings) -> FloatArray:
-    """Return the steady-state variances (4,) of wind east and north, airspeed error and heading error, eq. (7)."""
+    """Return the steady-state variances (4,) of the wind and of the air data errors, eq. (7).
+
+    They are those of the wind east and north, the airspeed error and the heading error.
+    """
     return np.array((s.wind_sigma_mps, s.wind_sigma_mps, s.airspeed_sigma_mps, s.heading_sigma_rad)) ** 2
 
 

@@ -1,10 +1,10 @@
-"""The check of a denied vehicle's air data against its way over ground: a pitot tube that ices up must not carry it in a gap.
+"""Check of a denied vehicle's air data against its way over ground.
 
-The filter itself cannot tell: what air data pull at, ranges pull back, and its process noise grows with either. So every few
-seconds the way between two positions is compared with the way through the air, by the calibration that was made with GPS. Where
-no wind and no errors explain the difference, the air data are refused until the error of the airspeed is known to be small. On
-one course any error passes for wind: that takes a turn. Without ranges the positions are uncertain, and only an airspeed that
-leaps is told.
+A pitot tube that ices up must not carry the vehicle through a gap. The filter itself cannot tell: what air data pull at, ranges
+pull back, and its process noise grows with either. So every few seconds the way between two positions is compared with the way
+through the air, by the calibration that was made with GPS. Where no wind and no errors explain the difference, the air data are
+refused until the error of the airspeed is known to be small. On one course any error passes for wind: that takes a turn. Without
+ranges the positions are uncertain, and only an airspeed that leaps is told.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class AirWindow(NamedTuple):
     north_m: float = 0.0
 
     def after(self, at_s: float, east_mps: float, north_mps: float) -> AirWindow:
-        """Return it after one more velocity, by trapezoids."""
+        """Return the window after one more velocity, integrated by trapezoids."""
         half_s = 0.5 * (at_s - self.at_s)
         east_m, north_m = self.east_m + half_s * (self.east_mps + east_mps), self.north_m + half_s * (self.north_mps + north_mps)
         return AirWindow(self.began_s, self.place, at_s, east_mps, north_mps, east_m, north_m)
@@ -76,7 +76,10 @@ class AirCheck:
     def updated(
         self, at_s: float, place: Place, airspeed_mps: float, yaw_rad: float, known: AirCalibration | None, s: FleetSettings
     ) -> AirCheck:
-        """Return it after air data at a place: horizontal airspeed and heading; `known` is the calibration with GPS, if any."""
+        """Return the check after air data at a place.
+
+        The air data are the horizontal airspeed and the heading. `known` is the calibration with GPS, if there is one.
+        """
         east_mps, north_mps = airspeed_mps * math.sin(yaw_rad), airspeed_mps * math.cos(yaw_rad)
         window = self.window
         if window is None or not 0.0 <= at_s - window.at_s <= _LONGEST_GAP_S:
@@ -107,7 +110,10 @@ class AirCheck:
         return AirCheck(True, AirCalibration.initial(window.at_s, s, _UNKNOWN_ERROR_MPS), window)
 
     def reflected(self) -> AirCheck:
-        """Return it for a vehicle whose states were reflected: no way leads there."""
+        """Return the check for a vehicle whose states were reflected.
+
+        No way leads to the reflected position, so the window begins anew.
+        """
         return replace(self, window=None)
 
 

@@ -1,7 +1,8 @@
-"""Clusters of vehicles whose errors are correlated: their joint state, propagation, covariance inflation, and the set of them.
+"""Clusters of vehicles whose errors are correlated, and the set of all clusters.
 
-Vehicles are correlated when they range each other or share neighbours. A cluster begins with one vehicle, is merged by the first
-range with another, and is marginalised when no range links its vehicles. `update` corrects its joint state.
+A cluster propagates its joint state and inflates its covariance. Vehicles are correlated when they range each other or share
+neighbours. A cluster begins with one vehicle, is merged by the first range with another, and is marginalised when no range links
+its vehicles. `update` corrects its joint state.
 """
 
 from __future__ import annotations
@@ -56,7 +57,10 @@ class Cluster:
             from_s = to_s
 
     def predict(self, vehicle: int, at_s: float) -> tuple[FloatArray, FloatArray]:
-        """Return mean (16,) and covariance (16, 16) of a vehicle at a time after, or shortly before, that of its states."""
+        """Return mean (16,) and covariance (16, 16) of a vehicle at another time.
+
+        That time is after, or shortly before, the time of its states, which do not change.
+        """
         joint, transition, record = self.joint, self.transition, self.records[vehicle]
         x, P, from_s = joint.mean(vehicle), joint.covariance(vehicle), joint.time_s[vehicle]
         for to_s in step_ends(from_s, at_s) if at_s >= from_s else [at_s]:
@@ -88,7 +92,10 @@ class Cluster:
         return _new(RangeEnd, (vehicle, where, position, (ve, vn, vu), offset_s))
 
     def range_jacobian(self, a: RangeEnd, b: RangeEnd, unit: Vector3) -> FloatArray:
-        """Return the Jacobian (4, 1 + n) of the vector from `b` to `a` by all states: along `unit`, east, north, up."""
+        """Return the Jacobian (4, 1 + n) of the vector from `b` to `a` by all states.
+
+        Its rows are the components along `unit`, east, north and up.
+        """
         return range_jacobian(len(self.joint.A), a, b, unit)
 
     def peers_in_use(self, vehicle: int, at_s: float) -> dict[int, Vector3]:
@@ -100,7 +107,10 @@ class Cluster:
         return {v: n.unit for v, n in neighbours.items() if abs(at_s - n.at_s) <= IN_USE_S and n.pair in where}
 
     def change_sigma(self, vehicle: int, where: slice, before: float, now: float) -> float:
-        """Change the sigma of a vehicle's slow errors where it is clearly another one; return the sigma now in force."""
+        """Change the sigma of slow errors of a vehicle, and return the sigma now in force.
+
+        `where` is the slice of these errors in the vehicle's block. A sigma within 10 % of `before` changes nothing.
+        """
         if _CLEARLY_LESS * before <= now <= _CLEARLY_MORE * before:
             return before
         joint = self.joint
@@ -127,9 +137,10 @@ class Cluster:
     def add_corrections(
         self, vehicle: int, W: FloatArray, innovations: Sequence[float], at_s: float, *, of_position: bool = False
     ) -> None:
-        """Give the velocity correction by W (1 + n, k) and the k whitened innovations to the manoeuvre detector.
+        """Pass the velocity correction of one update to the manoeuvre detector.
 
-        `of_position`: a range or a position report made it, so the noise level learns from it too.
+        `W` (1 + n, k) and the k whitened `innovations` are those of the update. `of_position`: a range or a position report made
+        it, so the noise level learns from it too.
         """
         record, s = self.records[vehicle], self.settings
         if record.static:
@@ -145,9 +156,10 @@ class Cluster:
             noise.corrections.update(at_s, s.manoeuvre_memory_s, *correction)
 
     def inflate_covariance(self, vehicle: int, position_m2: float) -> None:
-        """Add a position variance (m^2, each axis), and the velocity and wind variance to match, to one vehicle.
+        """Add a position variance, m^2 on each axis, to the covariance of one vehicle.
 
-        The wind goes with the velocity: a wind learned from a false velocity would restore it with the next air data.
+        The variances of velocity and wind grow to match. The wind goes with the velocity: a wind learned from a false velocity
+        would restore it with the next air data.
         """
         P, start = self.joint.A, self.joint.where[vehicle].start
         time2_s2 = _INFLATION_TIME_S * _INFLATION_TIME_S
@@ -158,7 +170,10 @@ class Cluster:
             P[start + axis, start + axis] += position_m2 / time2_s2
 
     def forget_air_errors(self, vehicle: int) -> None:
-        """Forget what air data have shown of wind, airspeed error and heading error: the steady state of eq. (7) is known."""
+        """Reset a vehicle's wind, airspeed error and heading error to the steady state of eq. (7).
+
+        What air data have shown of them is forgotten.
+        """
         joint = self.joint
         start = joint.where[vehicle].start
         first, stop = start + WIND.start, start + HEADING_ERROR + 1

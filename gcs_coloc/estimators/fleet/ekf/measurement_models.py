@@ -1,7 +1,8 @@
-"""The measurement models: h, H and R of each measurement, eq. (10) to (15) and (34) of docs/explanation/fleet-filter.md.
+"""Measurement models: h, H and R of each measurement, eq. (10) to (15) and (34).
 
-Each function evaluates h at the state, then its Jacobian H, then the variances R, in that order, and returns them as a
-linearised measurement: (H P, minus the innovation) for the correction of `JointState`.
+The equations are in docs/explanation/fleet-filter.md. Each function evaluates h at the state, then its Jacobian H, then the
+variances R, in that order, and returns them as a linearised measurement: (H P, minus the innovation) for the correction of
+`JointState`.
 """
 
 from __future__ import annotations
@@ -55,7 +56,11 @@ _REPORTED[range(3), range(REPORT_ERROR.start, REPORT_ERROR.stop)] = 1.0
 
 
 class LinearisedMeasurement(NamedTuple):
-    """k values measured on one vehicle's block: `HA` (k, 1 + n) as `whiten` needs it, H (k, 16), its block, R's diagonal."""
+    """A linearised measurement of k values of one vehicle.
+
+    `HA` (k, 1 + n) is what `whiten` needs. `H` (k, 16) is the Jacobian by the vehicle's block, and `where` the slice of this
+    block. `R` is the diagonal of the noise covariance.
+    """
 
     HA: FloatArray
     H: FloatArray
@@ -93,7 +98,9 @@ def position_report(
 
 
 def altitude(joint: JointState, m: AltitudeMeasurement, white_sigma_m: float) -> tuple[FloatArray, float, float]:
-    """Barometric height with its error: h = p_u + b_h, eq. (12). Return HA (1 + n,), the innovation (m) and its variance S.
+    """Linearise a barometric height with its error: h = p_u + b_h, eq. (12).
+
+    Return HA (1 + n,), the innovation, m, and its variance S, m^2.
 
     Source: PX4 EKF2, baro height fusion with a height bias estimator. R: the white sigma squared.
     """
@@ -108,7 +115,10 @@ def altitude(joint: JointState, m: AltitudeMeasurement, white_sigma_m: float) ->
 
 
 class AirResiduals(NamedTuple):
-    """Air data less the velocity through the air, m/s, along the direction (east, north) and across it; the speed of eq. (13)."""
+    """Air data minus the velocity through the air, along a direction and across it, m/s.
+
+    The direction is the unit vector (`east`, `north`). `speed_mps` is the speed of eq. (13).
+    """
 
     east: float
     north: float
@@ -118,10 +128,11 @@ class AirResiduals(NamedTuple):
 
 
 def air_residuals(ve: float, vn: float, airspeed_mps: float, yaw_rad: float, variance_m2ps2: float) -> AirResiduals:
-    """Return what air data show beyond a horizontal velocity through the air (m/s) known with a variance, of both axes together.
+    """Return what air data show beyond a given horizontal velocity through the air.
 
-    `airspeed_mps` is the horizontal part. It is linearised at that velocity where it is well known: along a noisy measured
-    heading the gain and the innovation would share their noise, and slowly shift wind against airspeed error.
+    `ve` and `vn` are that velocity, m/s. `variance_m2ps2` is the sum of the variances of both. `airspeed_mps` is the horizontal
+    part. It is linearised at that velocity where it is well known: along a noisy measured heading the gain and the innovation
+    would share their noise, and slowly shift wind against airspeed error.
     """
     speed = math.hypot(ve, vn)
     if variance_m2ps2 < (_WELL_KNOWN_SHARE * airspeed_mps) ** 2 and speed > 0.5 * airspeed_mps:
@@ -157,7 +168,9 @@ def air_velocity(
 
 
 def odometry(joint: JointState, m: OdometryMeasurement, since_s: float) -> LinearisedMeasurement:
-    """Speed and turn rate: h = (|v|, omega), at a stop h = (v_e, v_n, omega), eq. (34); while the course is open omega alone.
+    """Linearise the speed and turn rate of odometry: h = (|v|, omega), eq. (34).
+
+    At a stop h = (v_e, v_n, omega). While the course is open, h is omega alone.
 
     Source: Thrun, Burgard, Fox, Probabilistic Robotics (2005), section 5.4 (odometry). The heading is not known, so the
     velocity in the axes of the vehicle tells its size alone. R: the stated sigmas; the errors of wheels and of optical flow last,
@@ -187,7 +200,11 @@ def odometry(joint: JointState, m: OdometryMeasurement, since_s: float) -> Linea
 
 
 class LinearisedRange(NamedTuple):
-    """A range: `HA` (1 + n,) as `JointState.correct_scalar` needs it, innovation (m), its variance S (m^2), direction b to a."""
+    """A linearised range.
+
+    `HA` (1 + n,) is what `JointState.correct_scalar` needs. `variance_m2` is that of the innovation. `unit` is the direction from
+    b to a.
+    """
 
     HA: FloatArray
     innovation_m: float
@@ -198,7 +215,9 @@ class LinearisedRange(NamedTuple):
 def slant_range(
     joint: JointState, ends: tuple[RangeEnd, RangeEnd], pair: int, m: RangeMeasurement, white_m2: float, stamp_sigma_s: float
 ) -> LinearisedRange | None:
-    """Slant range: h = |d| + b + c + (d/dt |d|) tau, d = p_a - p_b by eq. (10), eq. (14); None if |d| is about zero.
+    """Linearise a slant range: h = |d| + b + c + (d/dt |d|) tau, eq. (14).
+
+    Here d = p_a - p_b by eq. (10). None means that |d| is about zero.
 
     Second-order terms of eq. (15) (Bar-Shalom, Li, Kirubarajan 2001, section 10.3.2): the mean range to an uncertain position
     is longer than the range to its mean, and its variance larger. `pair` is the index of the pair's b, c stands after it.

@@ -1,4 +1,7 @@
-"""What became of a measurement: the closed list of outcomes that the filter counts, and the result of one update."""
+"""Outcomes: what became of a measurement, in a closed list that the filter counts.
+
+`UpdateResult` is the result of one update.
+"""
 
 from __future__ import annotations
 

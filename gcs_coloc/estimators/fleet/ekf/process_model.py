@@ -60,15 +60,19 @@ def turn_rate_radps(roll_rad: float, airspeed_mps: float) -> float:
 
 
 def usable_airspeed_mps(m: AttitudeMeasurement) -> float | None:
-    """Return the airspeed where eq. (2) and (13) hold: it means something, and the bank is none of aerobatics; else None."""
+    """Return the airspeed of an attitude if eq. (2) and (13) hold for it, else None.
+
+    They hold from `LEAST_AIRSPEED_MPS` on, and up to the bank `STEEPEST_BANK_RAD`.
+    """
     is_usable = m.airspeed_mps is not None and m.airspeed_mps >= LEAST_AIRSPEED_MPS and abs(m.roll_rad) <= STEEPEST_BANK_RAD
     return m.airspeed_mps if is_usable else None
 
 
 def acceleration_density_m2ps3(east_mps: float, north_mps: float, s: FleetSettings) -> tuple[float, float]:
-    """Return how slow a velocity is (1 at rest, 0 when fast), and the density of the white acceleration with it, eq. (8).
+    """Return how slow a velocity is, and the density of the white acceleration with it, eq. (8).
 
-    A slow vehicle turns on the spot, which a turn rate does not describe.
+    The slowness is 1 at rest and 0 when fast. The density is in m^2/s^3. A slow vehicle turns on the spot, which a turn rate does
+    not describe.
     """
     slowness = 1.0 / (1.0 + (east_mps * east_mps + north_mps * north_mps) / (s.low_speed_mps * s.low_speed_mps))
     return slowness, s.acceleration_density_m2ps3 + slowness * (s.low_speed_density_m2ps3 - s.acceleration_density_m2ps3)
@@ -91,9 +95,9 @@ def set_transition(
     step_s: float,
     at_s: float,
 ) -> tuple[float, ...]:
-    """Fill F and Q of a step (negative: back) to `at_s`; return the first five components of the mean after it.
+    """Fill F and Q of a step to `at_s`; return the first five components of the mean after it.
 
-    `state` is mean (16,) and covariance (16, 16) before the step.
+    A negative step goes back in time. `state` is mean (16,) and covariance (16, 16) before the step.
     """
     x, P = state
     length = abs(step_s)
@@ -165,14 +169,20 @@ def set_transition(
 
 
 def _accelerated(mean: tuple[float, ...], east_mps2: float, north_mps2: float, step_s: float) -> tuple[float, ...]:
-    """Return the first five components of a mean with a constant acceleration over the step before, eq. (44)."""
+    """Return a mean with a constant acceleration over the step before added, eq. (44).
+
+    `mean` holds its first five components after that step without the acceleration.
+    """
     e, n, u, ve, vn = mean
     half_s2 = 0.5 * step_s * step_s
     return e + half_s2 * east_mps2, n + half_s2 * north_mps2, u, ve + step_s * east_mps2, vn + step_s * north_mps2
 
 
 def gap_covariance(record: VehicleRecord, s: FleetSettings, at_s: float, most_mps2: float = math.inf) -> Motion:
-    """Return what a vehicle may have done since its last measurement, eq. (29), with an acceleration of at most `most_mps2`."""
+    """Return what a vehicle may have done since its last measurement, eq. (29).
+
+    `most_mps2` bounds its acceleration.
+    """
     return motion_since(record.updated_at_s, record, s, at_s, most_mps2)
 
 
@@ -195,20 +205,26 @@ def motion_since(from_s: float, record: VehicleRecord, s: FleetSettings, at_s: f
 
 
 def shown_acceleration_mps2(record: VehicleRecord, s: FleetSettings) -> float:
-    """Return the acceleration that a vehicle has shown, eq. (36): the 95 % bound; infinite where its manoeuvres do not recur."""
+    """Return the 95 % bound of the acceleration that a vehicle has shown, eq. (36).
+
+    It is infinite where the vehicle's manoeuvres do not recur.
+    """
     if not record.profile.is_recurring:
         return math.inf
     return BOUND_95_SIGMAS * math.sqrt(record.manoeuvre_noise.level * s.low_speed_density_m2ps3 / (2.0 * _MANOEUVRE_S))
 
 
 def fresh_attitude(record: VehicleRecord, s: FleetSettings, at_s: float) -> AttitudeMeasurement | None:
-    """Return a vehicle's newest attitude that shows its turns, None where it is older than `attitude_fresh_s`."""
+    """Return a vehicle's newest attitude, which shows its turns.
+
+    None means that there is none, or that it is older than `attitude_fresh_s`.
+    """
     attitude = record.attitude
     return attitude if attitude is not None and at_s - attitude.measured_at_s <= s.attitude_fresh_s else None
 
 
 def fresh_air_data(record: VehicleRecord, s: FleetSettings, at_s: float) -> AttitudeMeasurement | None:
-    """Return the same where its airspeed is not refused."""
+    """Return a vehicle's newest attitude if it is fresh and its airspeed is not refused, else None."""
     attitude = fresh_attitude(record, s, at_s)
     return attitude if attitude is not None and attitude.airspeed_mps is not None else None
 

@@ -1,4 +1,7 @@
-"""Records: what the filter keeps of each vehicle beside its states, shared between copies until changed."""
+"""Records: what the filter keeps of each vehicle beside its states.
+
+Copies share a record until one of them changes it.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +43,10 @@ OwnMeasurement = PositionMeasurement | AltitudeMeasurement | AttitudeMeasurement
 
 
 class UnresolvedOutlier(NamedTuple):
-    """A refused range that the ranges in use could not contradict: the neighbour, its unit vector, innovation and NIS."""
+    """A refused range that the ranges in use could not contradict.
+
+    `unit` is the unit vector along the range.
+    """
 
     neighbour: int
     unit: tuple[float, float, float]
@@ -49,7 +55,10 @@ class UnresolvedOutlier(NamedTuple):
 
 
 class ReflectionEvidence(NamedTuple):
-    """How many ranges in a row were refused and fit the reflected position, and the neighbour of the last one."""
+    """Refused ranges in a row that fit the reflected position of a denied vehicle.
+
+    `ranges` is their number. `neighbour` is the other end of the last one.
+    """
 
     neighbour: int
     ranges: int
@@ -166,7 +175,10 @@ class VehicleRecord:
         return self.baro_error_sigma_m > 0.0
 
     def lasting_error(self, pair: Ranged) -> PairBias | None:
-        """Return what the ranges of a pair are lastingly off, as far as that is known; None while no range would tell of it."""
+        """Return what is known of the lasting error of a pair's ranges.
+
+        None means that the ranges are so coarse that none would tell of it.
+        """
         known, unknown = self.range_biases.bias(pair), self.unknown_bias
         return known if known is not None or unknown is None else PairBias(0.0, math.hypot(unknown.device_m, unknown.pair_m))
 
@@ -213,9 +225,10 @@ _RECORD_FIELDS = attrgetter(*(one.name for one in fields(VehicleRecord)))
 
 
 class Records(dict[int, VehicleRecord]):
-    """The records of all vehicles, by vehicle. Copies share each record until one side changes it (copy on write).
+    """The records of all vehicles, by vehicle.
 
-    `unreported` is the profile of a vehicle whose class nobody has reported.
+    Copies share each record until one side changes it (copy on write). `unreported` is the profile of a vehicle whose class
+    nobody has reported.
     """
 
     __slots__ = ("_own", "_unreported")

@@ -52,15 +52,18 @@ def ends(key: Key) -> tuple[int, int]:
 
 
 def pair_key(a: int, b: int, device: int) -> PairKey:
-    """Return the key of the block of a ranging pair's bias b and coloured error c, eq. (14), the same for both directions."""
+    """Return the key of the block of a ranging pair, the same for both directions.
+
+    The block holds the pair's bias b and coloured error c, eq. (14).
+    """
     return (a, b, device) if a < b else (b, a, device)
 
 
 @dataclass(frozen=True, slots=True)
 class UnknownKey:
-    """Key of the sensitivities of all states to an unknown bias of a denied vehicle's ranges: of a pair, or of its device.
+    """Key of the sensitivities of all states to an unknown bias of a denied vehicle's ranges.
 
-    `a` and `b` are the pair, for the device both the vehicle itself.
+    The bias is that of a pair, or of the vehicle's device. `a` and `b` are the pair, for the device both the vehicle itself.
     """
 
     a: int
@@ -201,19 +204,26 @@ class JointState:
         return columns.T, blas.dgemm(1.0, columns, H.T, trans_a=1)
 
     def correct(self, W: FloatArray) -> None:
-        """Correct with whitened measurements, W (1 + n, k) of `Whitened`: A = A - W W', eq. (19), which keeps it symmetric."""
+        """Correct with whitened measurements: A = A - W W', eq. (19), which keeps A symmetric.
+
+        `W` (1 + n, k) is that of `Whitened`.
+        """
         blas.dgemm(-1.0, W, W, beta=1.0, c=self.A.T, trans_b=1, overwrite_c=1)
 
     def correct_scalar(self, hA: FloatArray, variance: float) -> FloatArray:
-        """Correct with one value, hA (1 + n,) as a row of `whiten`, and its innovation's variance; return W (1 + n, 1)."""
+        """Correct with one value, and return W (1 + n, 1) of the correction.
+
+        `hA` (1 + n,) is a row of `HA` as `whiten` needs it. `variance` is that of the innovation.
+        """
         W: FloatArray = (hA * (1.0 / variance**0.5))[:, np.newaxis]
         self.correct(W)
         return W
 
     def restore(self, considered: list[int], W: FloatArray) -> None:
-        """Give states that a correction with W (1 + n, 1) was to leave alone their mean and covariance back, eq. (33).
+        """Undo what a correction has done to mean and covariance of considered states, eq. (33).
 
-        Their covariances with all other states stay corrected (Schmidt 1966; Jazwinski 1970, section 8.4).
+        `considered` holds the indices of these states. `W` (1 + n, 1) is that of the correction. Their covariances with all other
+        states stay corrected (Schmidt 1966; Jazwinski 1970, section 8.4).
         """
         A, mine = self.A, W[considered, 0]
         A[np.ix_(considered, considered)] += mine[:, None] * mine
@@ -222,10 +232,11 @@ class JointState:
         A[considered, 0] += back
 
     def add_sensitivity(self, unknown: Sequence[tuple[UnknownKey, float]], W: FloatArray, sigma_m: float) -> None:
-        """Let the sensitivities to unknown errors follow a correction by one value in which each has its share, eq. (38).
+        """Apply a correction by one value to the sensitivities to unknown errors, eq. (38).
 
-        `W` (1 + n, 1) and `sigma_m` are those of the correction, which has treated them as it treats covariances. What stands
-        where two of them meet, or in row 0, means nothing.
+        `unknown` holds the key of each error and its share in the value. `W` (1 + n, 1) and `sigma_m` are those of the
+        correction, which has treated them as it treats covariances. What stands where two of them meet, or in row 0, means
+        nothing.
         """
         for key, share in unknown:
             i = self.where[key].start
@@ -239,7 +250,10 @@ class JointState:
         columns *= factor
 
     def decay(self, key: Key, decays: tuple[float, float], sigmas: tuple[float, float]) -> None:
-        """Propagate a block of two Gauss-Markov states, eq. (7), by their decay factors and steady-state sigmas."""
+        """Propagate a block of two Gauss-Markov states, eq. (7).
+
+        `decays` are their decay factors over the step, and `sigmas` their steady-state sigmas.
+        """
         A, i, (di, dj), (si, sj) = self.A, self.where[key].start, decays, sigmas
         j = i + 1
         variance_i, covariance, variance_j = A.item(i, i), A.item(i, j), A.item(j, j)

@@ -1,4 +1,7 @@
-"""What a vehicle may have done in a gap beyond the manoeuvres that it has shown before, as far as no range has ruled it out."""
+"""Unshown motion: what a vehicle may have done in a gap beyond the manoeuvres shown before.
+
+Ranges after the gap rule it out step by step, eq. (37).
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,11 @@ Motion = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class UnshownMotion:
-    """Horizontal variances of each axis and their covariance at the end of a gap; information of the ranges since, 1/m^2."""
+    """Motion in a gap beyond that shown before, with the ranges since that may rule it out.
+
+    The variances of each horizontal axis and their covariance hold at the end of the gap. `ee`, `en` and `nn` are the information
+    of the ranges since, 1/m^2.
+    """
 
     ended_at_s: float
     position_m2: float
@@ -33,16 +40,25 @@ class UnshownMotion:
     nn: float = 0.0
 
     def after_range(self, unit: tuple[float, float, float], sigma_m: float) -> UnshownMotion:
-        """Return it after a range along a unit vector that fitted, with the sigma of its innovation."""
+        """Return the motion after a range that fitted.
+
+        `unit` is the unit vector along the range, and `sigma_m` the sigma of its innovation.
+        """
         e, n = unit[0] / sigma_m, unit[1] / sigma_m
         return replace(self, ee=self.ee + e * e, en=self.en + e * n, nn=self.nn + n * n)
 
     def not_ruled_out(self) -> UnshownMotion:
-        """Return it as if no range had looked since: what is ruled out along a line is not along a wide arc."""
+        """Return the motion as if no range had been used since the gap.
+
+        What is ruled out along a line is not ruled out along a wide arc.
+        """
         return replace(self, ee=0.0, en=0.0, nn=0.0)
 
     def covariance(self, at_s: float) -> FloatArray:
-        """Return the covariance (4, 4) of position and velocity at a time, eq. (37): large where no range has looked since."""
+        """Return the covariance (4, 4) of horizontal position and velocity at a time, eq. (37).
+
+        It is large in directions in which no range was used since the gap.
+        """
         since_s = max(at_s - self.ended_at_s, 0.0)
         both_m2ps = self.both_m2ps + since_s * self.velocity_m2ps2
         position_m2 = self.position_m2 + since_s * (self.both_m2ps + both_m2ps)
@@ -52,7 +68,10 @@ class UnshownMotion:
 
 
 def unshown_motion(at_s: float, possible: Motion, shown: Motion) -> UnshownMotion | None:
-    """Return what is possible in a gap that ended beyond the manoeuvres shown before; None where nothing is."""
+    """Return the motion that is possible in a gap beyond the manoeuvres shown before.
+
+    The gap ended at `at_s`. None means that there is no such motion.
+    """
     position_m2, velocity_m2ps2 = possible[0] - shown[0], max(possible[1] - shown[1], 0.0)
     if position_m2 <= 0.0:
         return None

@@ -50,7 +50,10 @@ Sigmas = tuple[float, float]
 
 
 def update_own(cluster: Cluster, m: OwnMeasurement) -> UpdateResult:
-    """Correct with what a vehicle of the cluster measured of itself, its noise split as its stream has shown, eq. (16)."""
+    """Correct with what a vehicle of the cluster measured of itself.
+
+    The noise is split into white and coloured as the stream has shown, eq. (16).
+    """
     record, s = cluster.records[m.vehicle], cluster.settings
     if isinstance(m, PositionMeasurement):
         return update_position_report(cluster, m, *split_report_noise(record, m, s), time_stamp_offset_sigma_s(m, s))
@@ -168,7 +171,10 @@ def update_air_velocity(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResul
 
 
 def _contradicts_its_way(cluster: Cluster, m: AttitudeMeasurement, airspeed_mps: float) -> bool:
-    """Whether the air data of a denied vehicle are refused, these included; what they have shown is forgotten once they are."""
+    """Check the air data of a denied vehicle against its way; return whether they are refused.
+
+    What air data have shown is forgotten when the refusal begins.
+    """
     record, x, P = cluster.records[m.vehicle], cluster.joint.mean(m.vehicle), cluster.joint.covariance(m.vehicle)
     place = Place(x.item(0), x.item(1), horizontal_sigma_m(P))
     known = record.air_calibrations[-1] if record.air_calibrations else None
@@ -182,7 +188,10 @@ def _contradicts_its_way(cluster: Cluster, m: AttitudeMeasurement, airspeed_mps:
 
 
 def update_odometry(cluster: Cluster, m: OdometryMeasurement) -> UpdateResult:
-    """Correct with speed and turn rate, eq. (34), with noise inflated outside the gate: wheels slip and spin."""
+    """Correct with speed and turn rate, eq. (34), with inflated noise outside the gate.
+
+    Wheels slip and spin, so no odometry is refused.
+    """
     s, record, joint = cluster.settings, cluster.records[m.vehicle], cluster.joint
     cluster.propagate(m.vehicle, m.measured_at_s)
     since_s = m.measured_at_s - record.odometry.measured_at_s if record.odometry is not None else math.inf
@@ -249,7 +258,10 @@ def time_stamp_offset_sigma_s(m: PositionMeasurement | RangeMeasurement, s: Flee
 
 
 def split_report_noise(record: VehicleRecord, m: PositionMeasurement, s: FleetSettings) -> tuple[Sigmas, Sigmas]:
-    """Return the white and the coloured sigmas of a position report, each (horizontal, vertical) in m, eq. (16)."""
+    """Return the white and the coloured sigmas of a position report, eq. (16).
+
+    Each pair is (horizontal, vertical) in m.
+    """
     sigma_h_m, sigma_v_m = without_time_error(m)
     white_h_m, coloured_h_m = record.report_noise.split(0, sigma_h_m, s.least_coloured_share)
     white_v_m, coloured_v_m = record.report_noise.split(1, sigma_v_m, s.least_coloured_share)
@@ -264,7 +276,10 @@ def change_time_stamp_offset_sigma(cluster: Cluster, vehicle: int, sigma_s: floa
 
 
 def _manoeuvre_covariance(since_s: float) -> FloatArray:
-    """Return what an unknown constant acceleration since a time ago adds to position and velocity, (6, 6), eq. (20)."""
+    """Return the covariance (6, 6) that an unknown constant acceleration adds, eq. (20).
+
+    It is that of position and velocity. The acceleration began `since_s` ago.
+    """
     speed = _HARDEST_MPS2 * since_s
     distance = 0.5 * speed * since_s
     covariance = np.zeros((6, 6))
@@ -283,7 +298,10 @@ def augment_by_unknown(joint: JointState, unknown: Sequence[tuple[UnknownKey, fl
 
 
 def propagate_pair(cluster: Cluster, pair: Key, at_s: float, sigmas: tuple[float, float]) -> int:
-    """Propagate a pair's range errors (bias, coloured) to the time of a range, eq. (7); return the index of the first."""
+    """Propagate a pair's range errors to the time of a range, eq. (7), and return their index.
+
+    The errors are the bias and, after it, the coloured error. A new pair gets them with their steady-state `sigmas`.
+    """
     s, joint = cluster.settings, cluster.joint
     if pair not in joint.where:
         joint.augment(pair, np.zeros(2), np.diag(np.square(sigmas)), at_s)
