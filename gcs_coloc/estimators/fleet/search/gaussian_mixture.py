@@ -1,4 +1,7 @@
-"""A sum of k Gaussians of position and velocity: means x (k, 6), covariances P (k, 6, 6), log weights w (k,), the largest 0."""
+"""Gaussian mixture: a sum of k Gaussians of position and velocity.
+
+It is given by means x (k, 6), covariances P (k, 6, 6) and log weights w (k,), the largest of which is 0.
+"""
 
 from __future__ import annotations
 
@@ -42,9 +45,9 @@ def update(
 
 
 def with_more_noise(log_likelihood: FloatArray | float, variance_m2: FloatArray, more_m2: FloatArray) -> FloatArray:
-    """Return the log-likelihoods of ranges had their innovation variances been larger; that of an outlier is bounded.
+    """Return the log-likelihoods of ranges as if their innovation variances were larger.
 
-    Without the half logarithm of two pi, as all log-likelihoods here.
+    That of an outlier is bounded. The half logarithm of two pi is left out, as in all log-likelihoods here.
     """
     common_m2 = variance_m2 + more_m2
     half_nis = -(np.asarray(log_likelihood) + 0.5 * np.log(variance_m2)) * variance_m2 / common_m2

@@ -1,7 +1,8 @@
-"""Multilateration: position and velocity from ranges alone, by robust least squares from many starting points, eq. (26).
+"""Multilateration: position and velocity from ranges alone, eq. (26).
 
-Few or badly placed peers allow a reflected solution. Where altitude and motion do not decide, the position is ambiguous; only a
-reflection straight above or below is returned, as one position with an open height.
+It is a robust least squares fit from many starting points. Few or badly placed peers allow a reflected solution. Where altitude
+and motion do not decide, the position is ambiguous; only a reflection straight above or below is returned, as one position with
+an open height.
 """
 
 from __future__ import annotations
@@ -54,7 +55,10 @@ _ROUGH_MOST_SIGMAS = 50.0
 
 
 class MultilaterationProblem:
-    """The recent ranges of one denied vehicle, the positions of its peers then, and its own heights, relative to `at_s`."""
+    """The recent ranges of one denied vehicle, the positions of its peers then, and its own heights.
+
+    Times are relative to `at_s`.
+    """
 
     def __init__(self, at_s: float) -> None:
         self.at_s = at_s
@@ -64,7 +68,11 @@ class MultilaterationProblem:
     def add_range(
         self, peer: int, near: PositionMeasurement, past: list[PositionMeasurement], m: RangeMeasurement, lasting_m2: float
     ) -> None:
-        """Add a range with the peer's report nearest in time, extrapolated by its velocity (reported, or of its past reports)."""
+        """Add a range with the position of its peer at that time.
+
+        The position is extrapolated from `near`, the report nearest in time, by its velocity. Without one, the velocity is that
+        of the `past` reports. `lasting_m2` is the variance of the lasting error of the pair.
+        """
         velocity = near.velocity_enu_mps or _slope(past)
         step_s = m.measured_at_s - near.measured_at_s
         e, n, u = (x + v * step_s for x, v in zip(near.position_enu_m, velocity, strict=True))
@@ -81,7 +89,10 @@ class MultilaterationProblem:
         return Counter(row[0] for row in self._rows)
 
     def ranges(self) -> FloatArray:
-        """Return (n, 6): time s, peer's east, north, up, range, sigma with the peer's coloured error shared out."""
+        """Return the ranges (n, 6): time, s, and the peer's east, north and up, range and sigma, m.
+
+        The sigmas are inflated so that the coloured error of a peer counts once in all its ranges.
+        """
         counts = self.peers()
         return np.array(
             [
@@ -98,7 +109,10 @@ class MultilaterationProblem:
         return min(2.0 * _STRAIGHT * range_m * sigma_m for *_, range_m, sigma_m, _ in self._rows)
 
     def heights(self) -> FloatArray:
-        """Return (m, 3): time s, height, sigma inflated so that together they carry the information of one: coloured error."""
+        """Return the heights (m, 3): time, s, height and sigma, m.
+
+        Their error is coloured. So the sigmas are inflated until all together carry the information of one.
+        """
         inflation = math.sqrt(max(len(self._heights), 1))
         return np.array([(t, u, sigma * inflation) for t, u, sigma in self._heights], dtype=np.float64).reshape(-1, 3)
 
@@ -115,7 +129,10 @@ def _slope(past: list[PositionMeasurement]) -> tuple[float, float, float]:
 
 
 def solve_multilateration(problem: MultilaterationProblem, limit_sigma_m: float) -> tuple[FloatArray, FloatArray] | Unlocated:
-    """Return mean (6,) and covariance (6, 6) of position and velocity at the problem's time, or the reason why not."""
+    """Return mean (6,) and covariance (6, 6) of position and velocity, or the reason why not.
+
+    They hold at the problem's time. `limit_sigma_m` is the largest horizontal sigma that counts as determined.
+    """
     peers = problem.peers()
     if len(peers) < _LEAST_PEERS or sum(peers.values()) < _LEAST_RANGES:
         return Unlocated(NoEstimateReason.FEW_RANGES, sum(peers.values()), len(peers))

@@ -1,9 +1,9 @@
-"""Search of a denied vehicle whose position is too uncertain to linearise its ranges: a sum of Gaussians, every side kept open.
+"""Position search: a sum of Gaussians for a denied vehicle too uncertain to linearise its ranges.
 
-A range to a peer leaves a circle. Where the uncertainty across the line of sight is large against the range, one Gaussian cannot
-follow it, and the side on which it is linearised is confirmed for ever. So the state becomes a sum of Gaussians along the circle,
-eq. (27), each of which is small enough to be linearised (Alspach and Sorenson 1972; for ranges, Djugash 2009). Later ranges
-decide between them; with one left, the joint filter goes on from it.
+It keeps every side of the peers open. A range to a peer leaves a circle. Where the uncertainty across the line of sight is large
+against the range, one Gaussian cannot follow it, and the side on which it is linearised is confirmed for ever. So the state
+becomes a sum of Gaussians along the circle, eq. (27), each of which is small enough to be linearised (Alspach and Sorenson 1972;
+for ranges, Djugash 2009). Later ranges decide between them; with one left, the joint filter goes on from it.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _WIDE_SHARE = 0.5
 _LEAST_SIGMAS = 10.0
 """Chosen: a shorter range has no side; it ends a search no sooner and begins none."""
 _SPLIT = 2.0
-"""Chosen: the same for a component that is split again."""
+"""Chosen: a component is split where its variance is so many times distance times range sigma."""
 _OTHERS_SHARE = 1e-4
 """Chosen: other places with less than this share together are excluded; a wrong decision is confident and lasts."""
 _LEAST_SHARE = 1e-6
@@ -58,9 +58,10 @@ _ROUNDING_M2 = 1e-12  # chosen: keeps a quotient finite; far below any variance
 
 
 def is_too_wide(horizontal_m2: float, distance_m: float, range_sigma_m: float) -> bool:
-    """Whether a horizontal variance (sum of both axes) is too large to linearise a range of this distance and sigma.
+    """Return whether a horizontal variance is too large to linearise a range.
 
-    It is where the circle bends by more than the range's sigma, and the other side of the peer is within reach.
+    `horizontal_m2` is the sum of both axes. It is too large where the circle bends by more than the range's sigma, and the other
+    side of the peer is within reach.
     """
     distance_m = max(distance_m, _LEAST_SIGMAS * range_sigma_m)
     return horizontal_m2 > max(_TOO_WIDE * range_sigma_m, _WIDE_SHARE * distance_m) * distance_m
@@ -68,7 +69,10 @@ def is_too_wide(horizontal_m2: float, distance_m: float, range_sigma_m: float) -
 
 @dataclass(frozen=True, slots=True)
 class RangeCircle:
-    """One range to a located peer: the peer's number, position (3,) and covariance (3, 3), the range and its white variance."""
+    """One range to a peer with a known position.
+
+    `position_m` (3,) and `covariance_m2` (3, 3) are those of the peer. `variance_m2` is the white variance of the range.
+    """
 
     peer: int
     position_m: FloatArray
@@ -103,7 +107,10 @@ class PositionSearch:
         return PositionSearch(at_s, mean[None, :6].copy(), P[None, :6, :6], np.zeros(1), mean[6:].copy(), P[6:, 6:], {})
 
     def joined(self, others: Sequence[tuple[PositionSearch, float]]) -> PositionSearch:
-        """Return the search for a vehicle that is at a place of this one or of others, with their log odds against this one."""
+        """Return the search for a vehicle that is at a place of this search or of others.
+
+        Each of the others comes with its log odds against this one.
+        """
         parts = [(self, 0.0), *others]
         w = np.concatenate([search.log_weight - log_sum(search.log_weight) + odds for search, odds in parts])
         x, P = (np.concatenate(each) for each in zip(*((search.mean, search.covariance) for search, _ in parts), strict=True))
@@ -113,7 +120,10 @@ class PositionSearch:
 
     @property
     def is_open(self) -> bool:
-        """Whether several places fitted lately. Time blurs them but makes them no one place, and one range may be an outlier."""
+        """Whether several places fitted lately.
+
+        Time blurs them but does not make them one place, and a single range may be an outlier.
+        """
         return self.agreed < _LEAST_AGREED
 
     @property
@@ -140,7 +150,10 @@ class PositionSearch:
         return replace(self, at_s=at_s, mean=self.mean @ F.T, covariance=F @ self.covariance @ F.T + Q)
 
     def with_height(self, up_m: float, variance_m2: float) -> PositionSearch:
-        """Return the search after a height; its error lasts, so it never makes the height better known than by one."""
+        """Return the search after a height.
+
+        The error of a height lasts. So many heights never make it better known than one does.
+        """
         if float(self.covariance[:, 2, 2].min()) <= variance_m2:
             return self
         H = np.zeros((len(self.mean), 1, 6))
@@ -150,7 +163,10 @@ class PositionSearch:
         return replace(self, mean=x, covariance=P)
 
     def with_range(self, circle: RangeCircle) -> PositionSearch:
-        """Return the search after a range: components too wide for it are split along its circle, all are corrected."""
+        """Return the search after a range.
+
+        Components that are too wide for it are split along its circle, and all are corrected.
+        """
         use = self.uses.get(circle.peer, 0) + 1
         x, P, w = self._few_wide(circle, use)
         d = x[:, :3] - circle.position_m
@@ -195,9 +211,10 @@ class PositionSearch:
         return replace(found, agreed=self.agreed + 1 if found.place() is not None else 0)
 
     def _few_wide(self, circle: RangeCircle, use: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the components with so few that are too wide for a range that all of them can be split along its circle.
+        """Return the components, merged until few enough are too wide for a range.
 
-        A gap blurs components until they overlap: these are one. What is beyond the limit becomes one too.
+        All that are too wide can then be split along its circle. A gap blurs components until they overlap: these are one. What
+        is beyond the limit becomes one too.
         """
         x, P, w = self.mean, self.covariance, self.log_weight
         for merge in (merged, tail_merged):
@@ -213,10 +230,11 @@ class PositionSearch:
         return x, P, w
 
     def _noise(self, circle: RangeCircle, u: FloatArray, P: FloatArray, use: int) -> FloatArray:
-        """Return the variance (k,) of a range that brings all of them, with the peer's lasting error, to their joint information.
+        """Return the variance (k,) of a range with which the peer's lasting error counts only once.
 
-        n ranges of white variance r and a common variance c have the information n / (r + n c), eq. (39). Along u a component of
-        variance p > c remembers r / (p - c) earlier ones at most: what moved on since counts no longer.
+        So all ranges to the peer together carry their joint information. n ranges of white variance r and a common variance c
+        have the information n / (r + n c), eq. (39). Along u a component of variance p > c remembers r / (p - c) earlier ones at
+        most: what moved on since counts no longer.
         """
         c, r = np.einsum("ki,ij,kj->k", u, circle.covariance_m2, u), circle.variance_m2
         p = np.einsum("ki,kij,kj->k", u, np.broadcast_to(P[:, :3, :3], (len(u), 3, 3)), u)
@@ -245,9 +263,10 @@ class PositionSearch:
         return cx, cP, share - 0.5 * nis - 0.5 * log_det, float(nis.min())
 
     def place(self) -> tuple[FloatArray, FloatArray] | None:
-        """Return mean (6,) and covariance (6, 6) where all components that matter are at one place; None while several fit.
+        """Return mean (6,) and covariance (6, 6) if all components that matter are at one place.
 
-        Components along a short arc are one place; on a long one their mean is a position that fits no range.
+        None means that several places fit. Components along a short arc are one place; on a long one their mean is a position
+        that fits no range.
         """
         weight = np.exp(self.log_weight)
         matter = weight > _LEAST_SHARE * weight.sum()
@@ -270,7 +289,10 @@ class PositionSearch:
         return (mean, covariance) if float(fit.min()) < GATE_NIS else None
 
     def narrow_place(self, distance_m: float, range_sigma_m: float) -> tuple[FloatArray, FloatArray] | None:
-        """Return mean (16,) and covariance (16, 16) where the place is one, and narrow enough to linearise a range."""
+        """Return mean (16,) and covariance (16, 16) if there is one narrow place, else None.
+
+        It is narrow if a range of this distance and sigma can be linearised there.
+        """
         place = self.place()
         if place is None or self.is_open or sum(self.uses.values()) < _LEAST_RANGES:
             return None

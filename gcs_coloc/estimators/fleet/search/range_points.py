@@ -1,4 +1,7 @@
-"""Where a wide component of a search is split for a range: on a circle, or on a sphere where the height is open."""
+"""Points at which a wide component of a search is split for a range.
+
+They are on a circle, or on a sphere where the height is open.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,11 @@ _GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))
 
 
 class RangePoints(NamedTuple):
-    """Unit vectors (k, 3) from a peer to points, `spacing_m` apart, and the directions (k, n, 3) along which they follow it."""
+    """Points about a peer, `spacing_m` apart, at which a component is split.
+
+    `unit` (k, 3) are the unit vectors from the peer to the points. `along` (k, n, 3) are the directions in which the points
+    follow each other.
+    """
 
     unit: FloatArray
     along: FloatArray
@@ -47,15 +54,18 @@ def range_points(from_peer_m: FloatArray, covariance_m2: FloatArray, range_m: fl
 
 
 def _on_circle(count: int, up: float) -> FloatArray:
-    """Return the unit vectors of a horizontal circle on the sphere, `up` times its radius above the centre."""
+    """Return the unit vectors to points on a horizontal circle of a sphere.
+
+    The circle is `up` times the radius above the centre.
+    """
     azimuth_rad, level = np.arange(count) * (2.0 * math.pi / count), math.sqrt(1.0 - up * up)
     return np.stack([level * np.sin(azimuth_rad), level * np.cos(azimuth_rad), np.full(count, up)], axis=1)
 
 
 def _on_sphere(mean_m: FloatArray, covariance_m2: FloatArray, radius_m: float, fine_m: float) -> tuple[FloatArray, float]:
-    """Return the unit vectors of points all over a sphere, only those where the component may be, and their spacing, m.
+    """Return the unit vectors to points all over a sphere, and the spacing of the points, m.
 
-    If these are too many, they are coarser.
+    Only points where the component may be are returned. If these are too many, they are coarser.
     """
     count = min(math.ceil(4.0 * math.pi * (radius_m / fine_m) ** 2), _MOST_TRIED)
     while True:
