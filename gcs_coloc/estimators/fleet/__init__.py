@@ -1,1 +1,4 @@
-"""The fleet filter: all vehicles in one state, every range between any two of them, in the order of measuring."""
+"""The fleet filter: a Kalman filter over the states of all vehicles and the ranges between them.
+
+Vehicles whose errors are correlated share a joint state. Measurements are applied in the order of measuring.
+"""

@@ -1,4 +1,4 @@
-"""Estimates of the fleet filter as they are stated: of a vehicle with states, and of one that is searched."""
+"""Estimates of the fleet filter as they are stated, from a vehicle's states or from its search."""
 
 from __future__ import annotations
 
@@ -92,7 +92,10 @@ def estimate_of_search(
 
 
 def with_possible_motion(where: Estimate, record: VehicleRecord, settings: FleetSettings) -> Estimate | NoEstimate:
-    """Return an estimate with what no range has ruled out, or could tell of, that its vehicle did, eq. (29) and (37)."""
+    """Return an estimate with the motion added that no range has ruled out, eq. (29) and (37).
+
+    This includes motion of which no range could tell. Where it makes the estimate too uncertain, a `NoEstimate` is returned.
+    """
     at_s = where.at_s
     motion = untold_motion(record, settings, at_s) if record.unshown is None else record.unshown.covariance(at_s)
     if motion is None:

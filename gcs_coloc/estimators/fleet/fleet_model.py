@@ -1,7 +1,7 @@
-"""The fleet as one filter knows it: records of all vehicles, clusters with states, updates in the order of measuring.
+"""The fleet as one filter models it: records of all vehicles, and clusters with states.
 
-Only vehicles that a denied vehicle ranges have states. Of any other healthy vehicle only a few recent reports are kept, from
-which its states are initialised when a range needs them.
+It is updated in the order of measuring. Only vehicles that a denied vehicle ranges have states. Of any other healthy vehicle only
+a few recent reports are kept, from which its states are initialised when a range needs them.
 """
 
 from __future__ import annotations
@@ -98,7 +98,10 @@ class FleetModel:
         self._pruned_at_s = other._pruned_at_s
 
     def import_vehicles(self, other: FleetModel, vehicles: tuple[int, ...]) -> None:
-        """Copy from another model the vehicles that are in no cluster of this one, with their clusters where possible."""
+        """Copy vehicles that are in no cluster of this model from another model.
+
+        A vehicle's cluster is copied too, unless one of its vehicles is in a cluster here.
+        """
         for vehicle in vehicles:
             if vehicle in self.clusters or vehicle not in other.records:
                 continue
@@ -107,7 +110,10 @@ class FleetModel:
                 self.replace_from(other, vehicle)
 
     def _copy_record(self, other: FleetModel, vehicle: int) -> None:
-        """Copy a vehicle's record from another model; those of vehicles that it has ranged must exist for the peer selection."""
+        """Copy a vehicle's record from another model.
+
+        The records of vehicles that it has ranged are copied where they are missing: the peer selection needs them.
+        """
         self.records.copy_from(other.records, vehicle)
         for neighbour in self.records[vehicle].last_range_s:
             if neighbour not in self.records:
@@ -257,7 +263,10 @@ class FleetModel:
             self.considered_m.pop(pair, None)
 
     def _initialise_ends(self, ends: tuple[int, int], at_s: float) -> UpdateResult | None:
-        """Initialise those ends of a range that have no states; return what became of the range where it is not used."""
+        """Initialise the ends of a range that have no states.
+
+        Return what became of the range if it is not used, else None.
+        """
         for vehicle in ends:
             if vehicle in self.clusters:
                 continue
@@ -272,7 +281,10 @@ class FleetModel:
         return initialise_from_reports(self.clusters, self.records, vehicle, at_s, self.settings)
 
     def _prune(self, at_s: float) -> None:
-        """Remove peers without recent ranges and vehicles silent for an hour; marginalise clusters that no range links."""
+        """Remove peers without recent ranges, and denied vehicles that were silent for an hour.
+
+        Clusters are split where no range links their vehicles.
+        """
         self._pruned_at_s = at_s
         kept_s = self.settings.peer_kept_s
         links: dict[int, set[int]] = {}
@@ -305,7 +317,10 @@ class FleetModel:
         return estimate_of_cluster(cluster, vehicle, at_s)
 
     def _estimate_without_state(self, vehicle: int, record: VehicleRecord, at_s: float) -> Estimate | NoEstimate:
-        """Estimate a healthy vehicle from its own reports; of a denied one return the reason why there is none."""
+        """Estimate a healthy vehicle from its own reports, or return why there is no estimate.
+
+        For a denied vehicle the reason is that in its record.
+        """
         if record.denied_vehicle or record.last_position is None:
             return NoEstimate(vehicle, at_s, record.no_estimate_reason)
         age_s = at_s - record.last_position.measured_at_s

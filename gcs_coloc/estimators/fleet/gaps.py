@@ -1,4 +1,7 @@
-"""Gaps: what a denied vehicle may have done without ranges, or without those along one direction, eq. (29) and (37)."""
+"""Gaps: what a denied vehicle may have done while ranges told nothing of it, eq. (29) and (37).
+
+A gap may be of one direction: the ranges along it have ceased, and the others go on.
+"""
 
 from __future__ import annotations
 
@@ -37,9 +40,9 @@ Information = tuple[float, float, float]
 
 
 def add_gap(cluster: Cluster, vehicle: int, at_s: float) -> None:
-    """Add to a denied vehicle's covariance what it may have done in a gap before a range at `at_s`, eq. (29).
+    """Add to a denied vehicle's covariance what it may have done in a gap, eq. (29).
 
-    What goes beyond the manoeuvres that it has shown is kept until a range tells of it.
+    The gap ends with a range at `at_s`. What goes beyond the manoeuvres that it has shown is kept until a range tells of it.
     """
     record, s = cluster.records[vehicle], cluster.settings
     possible = gap_covariance(record, s, at_s)
@@ -59,15 +62,15 @@ def add_gap(cluster: Cluster, vehicle: int, at_s: float) -> None:
 
 
 def tell_of_all_directions(record: VehicleRecord) -> bool:
-    """Whether a denied vehicle has so many neighbours that their ranges may tell of its motion along all directions."""
+    """Return whether a denied vehicle has enough neighbours to tell of its motion in all directions."""
     return len(record.neighbours) > (_TOO_FEW if record.has_height else _TOO_FEW_WITHOUT_HEIGHT)
 
 
 def untold_motion(record: VehicleRecord, s: FleetSettings, at_s: float) -> FloatArray | None:
-    """Return what a denied vehicle may have done along directions of which its neighbours are too few to tell, eq. (29).
+    """Return the motion of a denied vehicle of which its neighbours are too few to tell, eq. (29).
 
-    The covariance (4, 4) of position and velocity is to be stated beside that of the filter, which follows one of the ways that
-    fit. None if it is nothing; without any neighbour all is one gap.
+    It is a covariance (4, 4) of position and velocity, to be stated beside that of the filter, which follows one of the ways that
+    fit. None means that it is nothing. Without any neighbour all is one gap.
     """
     if not record.neighbours or tell_of_all_directions(record):
         return None
@@ -100,9 +103,9 @@ def judge_unshown_motion(cluster: Cluster, vehicle: int, result: UpdateResult, m
 
 
 def _keep_partial_gap(cluster: Cluster, record: VehicleRecord, at_s: float) -> None:
-    """Keep what a vehicle may have done since the ranges along one direction ceased, with those along the other going on.
+    """Keep what a vehicle may have done since the ranges along one direction ceased.
 
-    The process noise goes on holding the manoeuvres that it has shown.
+    The ranges along the other direction go on. The process noise goes on holding the manoeuvres that it has shown.
     """
     s, told = cluster.settings, _last_told(cluster, record, at_s)
     both_until_s = _told_of_both_at_s(told)
@@ -126,15 +129,18 @@ def _keep_partial_gap(cluster: Cluster, record: VehicleRecord, at_s: float) -> N
 
 
 def _last_told(cluster: Cluster, record: VehicleRecord, at_s: float) -> list[tuple[float, Neighbour]]:
-    """Return the last range of each neighbour with the time until which it tells of the position, s, the latest first."""
+    """Return the last range of each neighbour with the time, s, until which it tells of the position.
+
+    The latest time comes first.
+    """
     told = [(min(n.at_s, _known_until_s(cluster, other, at_s)), n) for other, n in record.neighbours.items()]
     return sorted(told, key=lambda each: -each[0])
 
 
 def _known_until_s(cluster: Cluster, vehicle: int, at_s: float) -> float:
-    """Return until when the motion of a range's other end is known: of a denied one until its own last gap.
+    """Return until when the motion of a range's other end is known, s.
 
-    So two of them do not vouch for each other.
+    That of a denied vehicle is known until its own last gap. So two of them do not vouch for each other.
     """
     record = cluster.records[vehicle]
     is_known = not record.denied_vehicle or shows_its_motion(record, cluster.settings, at_s)
@@ -142,7 +148,10 @@ def _known_until_s(cluster: Cluster, vehicle: int, at_s: float) -> float:
 
 
 def _told_of_both_at_s(told: Sequence[tuple[float, Neighbour]]) -> float | None:
-    """Return until when the last ranges told of both horizontal directions; None where they do not: no gap is the cause."""
+    """Return until when, s, the last ranges told of both horizontal directions.
+
+    None means that even all of them do not: then no gap is the cause.
+    """
     for count, (known_s, _) in enumerate(told, start=1):
         mean, radius = eigenvalue_mean_and_radius(*_information([neighbour for _, neighbour in told[:count]]), math.hypot)
         least, most = mean - radius, mean + radius

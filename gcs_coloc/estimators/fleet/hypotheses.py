@@ -1,7 +1,8 @@
-"""Multiple hypotheses: the main model and, for denied vehicles on an unknown side of their peers, reflected ones.
+"""Hypotheses: the main model, and models in which denied vehicles are reflected.
 
-All are updated with the same measurements. Their likelihoods give the odds, eq. (24). Until the odds decide, an estimate is
-the mixture of all; then the likelier model is kept (Bar-Shalom, Li, Kirubarajan 2001, section 11.6, static multiple models).
+A denied vehicle is reflected where it may be on the other side of its peers. All are updated with the same measurements. Their
+likelihoods give the odds, eq. (24). Until the odds decide, an estimate is the mixture of all; then the likelier model is kept
+(Bar-Shalom, Li, Kirubarajan 2001, section 11.6, static multiple models).
 """
 
 from __future__ import annotations
@@ -61,7 +62,10 @@ _MOST_HYPOTHESES = 16
 
 
 class FleetHypotheses:
-    """The main model and its reflection hypotheses, by the denied vehicles that are reflected; `copy` alone changes nothing."""
+    """The main model and its reflection hypotheses, by the denied vehicles that are reflected.
+
+    All methods but `copy` and `estimate` change it in place.
+    """
 
     def __init__(self, settings: FleetSettings) -> None:
         self.main = FleetModel(settings)
@@ -113,7 +117,10 @@ class FleetHypotheses:
         return result
 
     def _search_all_places(self, vehicle: int, at_s: float) -> None:
-        """Let a vehicle that one model searches be searched at the places of all: there is no hypothesis beside a search."""
+        """Search a vehicle at the places of all models once one of them searches it.
+
+        Its hypotheses end: there is none beside a search.
+        """
         of_vehicle = {group: h for group, h in self.hypotheses.items() if vehicle in group}
         if not of_vehicle:
             return
@@ -165,7 +172,10 @@ class FleetHypotheses:
     def _reflection_plane(
         self, cluster: Cluster, denied_vehicle: int, before: SavedEstimate | None, at_s: float
     ) -> ReflectionPlane | None:
-        """Return the plane on whose other side a denied vehicle may be, itself alone; None where there is none."""
+        """Return the plane on whose other side a denied vehicle may be, or None.
+
+        It is a plane for this vehicle alone, not for a group.
+        """
         evidence = self.main.records[denied_vehicle].reflection_evidence
         plane = plane_of_refused_ranges(evidence, cluster, denied_vehicle, at_s)
         plane = plane or find_reflection_plane(cluster, denied_vehicle, at_s)
@@ -176,7 +186,10 @@ class FleetHypotheses:
         return plane
 
     def _judge(self, group: frozenset[int], at_s: float) -> None:
-        """Decide between the main model and the hypothesis that some denied vehicles are reflected, where that is possible."""
+        """Decide between the main model and a hypothesis, where that is possible.
+
+        `group` holds the denied vehicles that are reflected in the hypothesis.
+        """
         hypothesis = self.hypotheses[group]
         cluster, other = _common(self.main, group), _common(hypothesis.model, group)
         if cluster is None or other is None:
@@ -213,7 +226,10 @@ class FleetHypotheses:
             del self.hypotheses[group]
 
     def _replace_main(self, group: frozenset[int], won: ReflectionHypothesis) -> None:
-        """Let a hypothesis that won be the main model, and the others of its cluster be of what differs from that one."""
+        """Replace the main model by a hypothesis that won.
+
+        The others of its cluster become hypotheses of what differs from the new main model.
+        """
         self.main.replace_from(won.model, min(group))
         others: dict[frozenset[int], ReflectionHypothesis] = {}
         for reflected, hypothesis in self.hypotheses.items():
@@ -240,7 +256,10 @@ class FleetHypotheses:
         self.hypotheses[group] = ReflectionHypothesis(model, motion_only)
 
     def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
-        """Return the mixture of all hypotheses, eq. (25), with what no range has ruled out since a gap, or why there is none."""
+        """Return the mixture of all hypotheses, eq. (25), or why there is no estimate.
+
+        The estimate holds what no range has ruled out since a gap.
+        """
         where, record = self._mixture(vehicle, at_s), self.main.records.get(vehicle)
         if isinstance(where, NoEstimate) or record is None:
             return where

@@ -1,4 +1,7 @@
-"""Initialisation of a vehicle's states: from its recent reports, or by multilateration from ranges alone."""
+"""Initialisation of a vehicle's states from its recent reports, or from ranges alone.
+
+Ranges alone need a multilateration.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +66,10 @@ def initialise_from_reports(clusters: ClusterSet, records: Records, vehicle: int
 
 
 def calibrate_air_data(record: VehicleRecord, report: PositionMeasurement, s: FleetSettings) -> None:
-    """Compare a position report with the air data before it, if it has a velocity, they are fresh and it is time for that."""
+    """Calibrate a vehicle's air data by the velocity of a position report.
+
+    Nothing is done without such a velocity, without fresh air data, or too soon after the last calibration.
+    """
     at_s, last = report.measured_at_s, record.air_calibrations[-1:]
     if report.velocity_enu_mps is None or report.sigma_velocity_mps is None or (last and at_s < last[0].at_s + EVERY_S):
         return
@@ -85,7 +91,10 @@ def learn_manoeuvres(record: VehicleRecord, report: PositionMeasurement, s: Flee
 
 
 def initialise_from_ranges(clusters: ClusterSet, records: Records, vehicle: int, at_s: float, s: FleetSettings) -> bool:
-    """Initialise a denied vehicle from its recent ranges alone; False, with the reason in its record, where that fails."""
+    """Initialise a denied vehicle from its recent ranges alone; return whether it succeeded.
+
+    A failure leaves its reason in the vehicle's record. The next try is made no sooner than after `_TRY_EVERY_S`.
+    """
     record = records.writable(vehicle)
     if at_s - record.initialisation_tried_at_s < _TRY_EVERY_S:
         return False
@@ -158,7 +167,10 @@ def block_from_report(
 
 
 def block_from_estimate(mean: FloatArray, covariance: FloatArray, s: FleetSettings) -> tuple[FloatArray, FloatArray]:
-    """Return mean (16,) and covariance (16, 16) of a vehicle from its position and velocity, (6,) and (6, 6)."""
+    """Return mean (16,) and covariance (16, 16) of a vehicle from position and velocity alone.
+
+    `mean` (6,) and `covariance` (6, 6) are those of position and velocity.
+    """
     x = np.zeros(SIZE)
     P = np.zeros((SIZE, SIZE))
     x[:6] = mean

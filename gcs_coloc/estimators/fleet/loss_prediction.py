@@ -1,7 +1,8 @@
-"""What the filter would state of a vehicle whose GPS failed now: its own recursion over the next seconds, with no noise drawn.
+"""Prediction of a loss: what the filter would state of a vehicle whose GPS failed now.
 
-States, process model, measurement models and noise are the filter's. Speeds and turn rates are held and every innovation is
-zero, so covariances alone change. Three things are condensed, for cost:
+The filter's own recursion runs over the next seconds, with no noise drawn. States, process model, measurement models and noise
+are the filter's. Speeds and turn rates are held and every innovation is zero, so covariances alone change. Three things are
+condensed, for cost:
 
 - what is measured about the end of a step becomes one measurement of the same information;
 - a peer is a point that moves with its velocity, with the error of its reports, whose white part is averaged;
@@ -59,7 +60,10 @@ _STEADY = ManoeuvreDetector(c_e=math.sqrt(2.0 * math.sqrt(_STEADY_GAIN)), C_ee=1
 
 
 def predict_loss(model: FleetModel, query: LossQuery) -> list[Estimate | NoEstimate]:
-    """Predict a healthy vehicle as if it were denied: at the time of its loss, and step by step up to the horizon."""
+    """Predict the estimates of a healthy vehicle as if it were denied from now on.
+
+    The first is at the time of its loss. The others follow step by step up to the horizon.
+    """
     prediction, at_s = _LossPrediction(model, query), query.at_s
     if prediction.cluster is None:
         return [model.estimate(query.vehicle, at_s)]

@@ -11,12 +11,13 @@ from gcs_coloc.estimators.fleet.settings import BY_REPORT, FleetSettings
 
 @dataclass(frozen=True, slots=True)
 class MotionProfile:
-    """The most that a vehicle does, horizontal speed and acceleration and climb rate, and its process noise.
+    """The most that a vehicle does, and its process noise.
 
-    `noise_levels`: bounds of the learned factor of the white acceleration without a fresh bank angle, eq. (30). A plane flies
-    steadily between turns, which the manoeuvre detector finds. The manoeuvres of other vehicles recur (`is_recurring`).
-    A vehicle of which nothing is known has the white acceleration of the settings. `climb_level`: factor of the vertical one
-    where reports or a barometric height show the climbs.
+    The most are the largest horizontal speed, horizontal acceleration and climb rate. `noise_levels`: bounds of the learned
+    factor of the white acceleration without a fresh bank angle, eq. (30). A plane flies steadily between turns, which the
+    manoeuvre detector finds. The manoeuvres of other vehicles recur (`is_recurring`). A vehicle of which nothing is known has the
+    white acceleration of the settings. `climb_level`: factor of the vertical one where reports or a barometric height show the
+    climbs.
     """
 
     max_speed_mps: float
@@ -27,7 +28,10 @@ class MotionProfile:
     climb_level: float = 1.0
 
     def reach_m(self, since_s: float, acceleration_mps2: float) -> float:
-        """Return how far an acceleration may take a vehicle from where its velocity leads, m: min(a t^2 / 2, 2 V t)."""
+        """Return how far an acceleration may take a vehicle from where its velocity leads, m.
+
+        It is min(a t^2 / 2, 2 V t).
+        """
         return min(0.5 * acceleration_mps2 * since_s * since_s, 2.0 * self.max_speed_mps * since_s)
 
 

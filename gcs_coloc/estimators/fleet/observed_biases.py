@@ -1,4 +1,4 @@
-"""Which ranges of a denied vehicle show their lasting errors, and what is known of the lasting error of one pair."""
+"""Observed biases: ranges that show lasting errors, and what is known of the error of one pair."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ _HEIGHT_FRESH_S = 1.5
 
 
 def observe_bias(cluster: Cluster, vehicle: int, other: int, m: RangeMeasurement, white_m: float, coloured_m: float) -> None:
-    """Add a range that was used to the window of a denied vehicle; a window that is over tells of the lasting errors."""
+    """Add a range that was used to the window of a denied vehicle.
+
+    If that window is over, what it tells of the lasting errors goes to the record, and a new one begins.
+    """
     record, at_s = cluster.records[vehicle], m.measured_at_s
     window = record.bias_window
     if window is not None and at_s > window.is_over_at_s:
@@ -61,7 +64,10 @@ def _newest_height(record: VehicleRecord, at_s: float) -> AltitudeMeasurement | 
 
 
 def presume_bias(record: VehicleRecord, sigma_m: float, s: FleetSettings) -> None:
-    """Presume biases that nothing has shown, from the first range on whose stated sigma is so small that they matter."""
+    """Presume biases that nothing has shown, once ranges are so precise that these matter.
+
+    `sigma_m` is the stated sigma of a single range.
+    """
     if record.presumed_bias is None and sigma_m < _TELLING_SIGMAS * s.unknown_device_bias_m:
         device_m, pair_m = _MOST_OF_A_DEVICE * sigma_m, _MOST_OF_A_PAIR * sigma_m
         record.presumed_bias = UnknownBias(min(s.unknown_device_bias_m, device_m), min(s.unknown_pair_bias_m, pair_m))
@@ -69,7 +75,10 @@ def presume_bias(record: VehicleRecord, sigma_m: float, s: FleetSettings) -> Non
 
 
 def unknown_errors(denied: Sequence[tuple[int, int, VehicleRecord]], pair: PairKey) -> list[tuple[UnknownKey, float]]:
-    """Return the unknown biases in a range with their shares in its error: between two devices that are alike, half of each."""
+    """Return the unknown biases in a range, each with its share in the range's error.
+
+    Between two denied vehicles, whose devices are alike, each has half.
+    """
     share = 1.0 / len(denied)
     return [
         (key, share)
@@ -80,7 +89,10 @@ def unknown_errors(denied: Sequence[tuple[int, int, VehicleRecord]], pair: PairK
 
 
 def unknown_bias_covariance(cluster: Cluster, vehicle: int, step_s: float) -> FloatArray:
-    """Return the covariance (6, 6) that unknown biases add to position and velocity, a step after its states, eq. (38)."""
+    """Return the covariance (6, 6) that unknown biases add to position and velocity, eq. (38).
+
+    It holds at the time `step_s` after that of the vehicle's states.
+    """
     joint, places, sigmas_m = cluster.joint, [], []
     for key, place in joint.where.items():
         if isinstance(key, UnknownKey):

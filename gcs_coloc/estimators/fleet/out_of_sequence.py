@@ -1,4 +1,4 @@
-"""Out-of-sequence measurements (OOSM): a buffer that applies events in the order of measuring, by copies and replay.
+"""Out-of-sequence measurements (OOSM): a buffer that applies events in the order of measuring.
 
 The buffer keeps the events of the last window and copies of the model within it. An event that belongs before applied ones
 restores the copy before it; the events after it are applied again. That waits until an estimate is wanted, so a burst of late
@@ -36,7 +36,10 @@ Model = TypeVar("Model", bound=Replayable)
 
 
 class Entry(Generic[Event]):
-    """One event with its key; `outcome` of its last application, `reported` whether its residual was handed out."""
+    """One event with its key.
+
+    `outcome` is that of its last application. `reported` says whether its residual was handed out.
+    """
 
     __slots__ = ("event", "key", "outcome", "reported")
 

@@ -1,4 +1,7 @@
-"""Peer selection: the neighbours that locate a denied vehicle best, where there are more than are worth their cost."""
+"""Peer selection: the neighbours that locate a denied vehicle best.
+
+They are selected where there are more than are worth their cost.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +53,10 @@ def _select_anew(clusters: ClusterSet, records: Records, denied_vehicle: int, fr
 
 
 def rough_position(clusters: ClusterSet, records: Records, vehicle: int) -> FloatArray | None:
-    """Return the position (3,) of a vehicle's states, or else the one that it reported last, m; None where it has neither."""
+    """Return the position (3,) of a vehicle's states, m, or else the one that it reported last.
+
+    None means that it has neither.
+    """
     cluster, record = clusters.get(vehicle), records.get(vehicle)
     if record is None:
         return None

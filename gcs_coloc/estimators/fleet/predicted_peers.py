@@ -1,4 +1,4 @@
-"""What the prediction of a loss knows of the peers: where each is and how it moves, and the ranges that come from it."""
+"""Predicted peers: what the prediction of a loss knows of the peers and of the ranges to them."""
 
 from __future__ import annotations
 

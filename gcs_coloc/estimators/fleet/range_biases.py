@@ -1,9 +1,11 @@
-"""Lasting errors of a denied vehicle's ranges, observed in what no position explains; docs/explanation/range-biases.md.
+"""Lasting errors of a denied vehicle's ranges, observed in what no position explains.
+
+See docs/explanation/range-biases.md.
 
 In a window of a second the vehicle is somewhere on a parabola. Whatever position, velocity and acceleration explain is left to
 them; the rest of the residuals, as far as the geometry leaves any, is information on the lasting error of each pair, eq. (31).
 It adds up over the windows. So a bias that a position error explains as well is never learned: with few or badly placed peers
-the filter stays as it is. Which biases there are is judged by the marginal likelihood, eq. (32): none, one of the vehicle's
+the filter stays as it is. Which biases there are is decided by the marginal likelihood, eq. (32): none, one of the vehicle's
 device, one of each pair, or both.
 
 Source: K.-R. Koch, Parameter Estimation and Hypothesis Testing in Linear Models (1999), sections 3.4 (nuisance parameters) and
@@ -57,7 +59,10 @@ Ranged = tuple[int, int]
 
 
 class BiasSample(NamedTuple):
-    """One range to a peer without position error of its own making: time, peer, range, sigmas (white, coloured), peer's place."""
+    """One range of a denied vehicle to a peer that is not denied.
+
+    `peer_m` is the peer's position.
+    """
 
     at_s: float
     peer: Ranged
@@ -69,9 +74,10 @@ class BiasSample(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class BiasWindow:
-    """The ranges of one window and the state about which they are linearised: mean (6,) and covariance (6, 6) at its begin.
+    """The ranges of one window, and the state about which they are linearised.
 
-    `height_m2`: variance of the vehicle's own height, None without one. `max_mps2`: what the vehicle may accelerate.
+    `mean` (6,) and `covariance` (6, 6) are of position and velocity when the window begins. `height_m2`: variance of the
+    vehicle's own height, None without one. `max_mps2`: what the vehicle may accelerate.
     """
 
     at_s: float
@@ -92,7 +98,10 @@ class BiasWindow:
 
 
 class UnknownBias(NamedTuple):
-    """Sigmas of lasting errors that ranges have neither shown nor ruled out, m: of the vehicle's device, and of each pair."""
+    """Sigmas of lasting errors that ranges have neither shown nor ruled out, m.
+
+    One is that of the vehicle's device, the other that of each pair.
+    """
 
     device_m: float
     pair_m: float
@@ -129,10 +138,11 @@ class RangeBiases:
     def with_window(
         self, window: BiasWindow, peers_m2: Mapping[Ranged, FloatArray], least_m: float, presumed: UnknownBias | None
     ) -> RangeBiases:
-        """Return the information after a window, eq. (31), and the biases that it shows or leaves open, eq. (32) and (38).
+        """Return the information after one more window, eq. (31), and what biases it shows.
 
-        `peers_m2` holds the covariance (3, 3) of each peer's position, `least_m` is the sigma of a bias that is always there,
-        `presumed` what may be there where nothing is known, if anything.
+        The biases are those found, eq. (32), and those that may be there unfound, eq. (38). `peers_m2` holds the covariance (3,
+        3) of each peer's position, `least_m` is the sigma of a bias that is always there, `presumed` what may be there where
+        nothing is known, if anything.
         """
         added = _information(window, self._mean_m)
         if added is None:
@@ -173,7 +183,10 @@ class RangeBiases:
 
 
 class _Information(NamedTuple):
-    """What a window tells of k biases and the height: M (k + 1, k + 1), y (k + 1,), directions (k, 3) to the vehicle."""
+    """What a window tells of the biases of k pairs and of the height.
+
+    M is (k + 1, k + 1) and y is (k + 1,), with the height last. `units` (k, 3) are the directions from the peers to the vehicle.
+    """
 
     peers: list[Ranged]
     M: FloatArray
@@ -182,7 +195,10 @@ class _Information(NamedTuple):
 
 
 def _information(window: BiasWindow, bias_m: Callable[[Ranged], float]) -> _Information | None:
-    """Return what a window tells of the biases whatever the motion in it, eq. (31); None where its ranges are too few."""
+    """Return what a window tells of the biases, whatever the motion in it, eq. (31).
+
+    None means that its ranges are too few, or that a peer is at the vehicle's place.
+    """
     samples = window.samples
     peers = sorted({sample.peer for sample in samples})
     k, n = len(peers), len(samples)
@@ -227,9 +243,10 @@ def _information(window: BiasWindow, bias_m: Callable[[Ranged], float]) -> _Info
 
 
 class _Observed(NamedTuple):
-    """M (k + 1, k + 1) and y (k + 1,) of what is well observed, and the variances that are no bias of a range.
+    """The information that is well observed, and the variances of what is no bias of a range.
 
-    `is_pair` (k + 1,) is 0 in the last place, that of the height, else 1.
+    The information is `M` (k + 1, k + 1) and `y` (k + 1,). The variances are the diagonal of `others`. `is_pair` (k + 1,) is 0 in
+    the last place, that of the height, else 1.
     """
 
     M: FloatArray
@@ -252,7 +269,10 @@ def _observe(biases: RangeBiases, lasting_m2: Mapping[Ranged, float], height_m2:
 
 
 def _not_ruled_out(observed: _Observed, presumed: UnknownBias | None) -> UnknownBias | None:
-    """Return what may be there unfound, eq. (38): mean and variance of the device's bias, of which no range is corrected."""
+    """Return the biases that may be there unfound, eq. (38), or None if none are presumed.
+
+    The sigma of the device's bias holds its mean as well, because no range is corrected by that.
+    """
     if presumed is None:
         return None
     M, y, others, is_pair = observed

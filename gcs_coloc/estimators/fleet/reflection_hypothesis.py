@@ -1,4 +1,7 @@
-"""A hypothesis that some denied vehicles are reflected: its model, and its odds against the main model, eq. (24)."""
+"""Reflection hypothesis: a model in which some denied vehicles are reflected, and its odds.
+
+The odds are those against the main model, eq. (24).
+"""
 
 from __future__ import annotations
 
@@ -36,10 +39,10 @@ class RelativeSide(Enum):
 
 @dataclass(slots=True)
 class ReflectionHypothesis:
-    """A model with reflected denied vehicles; `log_odds` is the logarithm of its odds against the main model.
+    """A model in which denied vehicles are reflected, with its odds against the main model.
 
-    `motion_only`: only the process model separates the two. `separated`: in the last test one of them was on
-    opposite sides.
+    `log_odds` is the logarithm of the odds. `motion_only`: only the process model separates the two. `separated`: in the last
+    test one of them was on opposite sides.
     """
 
     model: FleetModel
@@ -51,7 +54,10 @@ class ReflectionHypothesis:
     _raised: float = 0.0
 
     def add_evidence(self, gain: float, at_s: float) -> None:
-        """Add the log-likelihood ratio of one measurement to the log odds, bounded where only motion separates, eq. (24)."""
+        """Add the log-likelihood ratio of one measurement to the log odds, eq. (24).
+
+        The sum over a manoeuvre is bounded where only motion separates the two models.
+        """
         if not self.motion_only:
             self.log_odds += gain
             self._since_s = -math.inf

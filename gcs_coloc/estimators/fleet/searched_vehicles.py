@@ -1,4 +1,7 @@
-"""Denied vehicles that are searched: when a search begins, what a range does to it, and how it ends in states again."""
+"""Searched vehicles: how the search of a denied vehicle begins, uses ranges and ends.
+
+At its end the vehicle has states again.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +50,10 @@ def is_searching(
 
 
 def search_of(clusters: ClusterSet, records: Records, vehicle: int, at_s: float) -> PositionSearch | None:
-    """Return the search of a denied vehicle, or the one that begins with its states and all that it may have done in a gap."""
+    """Return the search of a denied vehicle, or a new one that begins with its states.
+
+    A new one also holds all that the vehicle may have done in a gap.
+    """
     record, cluster = records[vehicle], clusters.get(vehicle)
     if cluster is None:
         return record.search
@@ -69,7 +75,10 @@ def search_with(clusters: ClusterSet, records: Records, vehicle: int, search: Po
 def search_with_range(
     clusters: ClusterSet, records: Records, vehicle: int, other: int, m: RangeMeasurement, settings: FleetSettings
 ) -> Outcome:
-    """Update the search of a denied vehicle with a range; with one place left its states are initialised there."""
+    """Update the search of a denied vehicle with a range, and return the outcome.
+
+    With one place left, the vehicle's states are initialised there.
+    """
     record, at_s = records[vehicle], m.measured_at_s
     assert record.search is not None
     there = _locate_peer(clusters, records, other, at_s, settings)
