@@ -29,7 +29,10 @@ def transition(dt_s: float, axes: int) -> FloatArray:
 
 
 def step_noise(q_per_step_m2ps2: float, axes: int) -> FloatArray:
-    """Return Q as in the paper, shape (2 axes, 2 axes): q on each velocity and nothing on position (Eq. 28 and 38)."""
+    """Return Q as in the paper: q on each velocity and nothing on position (Eq. 28 and 38).
+
+    Its shape is (2 axes, 2 axes).
+    """
     return _each_axis([[0.0, 0.0], [0.0, q_per_step_m2ps2]], axes)
 
 
@@ -142,10 +145,10 @@ class CvFilter:
         self._past.clear()
 
     def predicted(self, at_s: float) -> tuple[FloatArray, FloatArray]:
-        """Return state, shape (2 axes,), and covariance, shape (2 axes, 2 axes), at any time, and leave the filter as it is.
+        """Return state and covariance at any time, and leave the filter as it is.
 
-        Before the filter's time the state is stepped back, with the noise of the step added: what has been learned since is
-        kept, at the price of a covariance that is a little too large.
+        Their shapes are (2 axes,) and (2 axes, 2 axes). Before the filter's time the state is stepped back, with the noise of the
+        step added: what has been learned since is kept, at the price of a covariance that is a little too large.
         """
         dt_s = at_s - self.at_s
         F = transition(dt_s, self.axes)
@@ -157,7 +160,10 @@ class CvFilter:
         return {vehicle: F @ one for vehicle, one in self.sensitivities.items()}
 
     def innovation(self, z: FloatArray, R: FloatArray, H: FloatArray, at_s: float) -> tuple[FloatArray, FloatArray]:
-        """Return the innovation, shape (m,), and its covariance, shape (m, m), of a measurement z = H x made at `at_s`."""
+        """Return the innovation of a measurement z = H x made at `at_s`, and its covariance.
+
+        Their shapes are (m,) and (m, m).
+        """
         state, covariance = self.predicted(at_s)
         return z - H @ state, H @ covariance @ H.T + R
 
@@ -215,7 +221,10 @@ class CvFilter:
 
 
 def nis(innovation: FloatArray, covariance: FloatArray) -> float:
-    """Return the normalised innovation squared of shapes (m,) and (m, m): chi-square with m degrees of freedom if consistent."""
+    """Return the normalised innovation squared of an innovation (m,) and its covariance (m, m).
+
+    It is chi-square distributed with m degrees of freedom if the filter is consistent.
+    """
     return float(innovation @ np.linalg.solve(covariance, innovation))
 
 

@@ -1,4 +1,4 @@
-"""The filter state of a denied vehicle beside its track: its range epochs, its gate, and the lasting errors in its state."""
+"""State of a denied vehicle beside its track: its range epochs, its gate and the lasting errors."""
 
 from __future__ import annotations
 
@@ -81,13 +81,19 @@ class DeniedVehicleFilter:
         self.accept(fix, at_s)
 
     def covariance(self, horizontal: CvFilter, at_s: float) -> FloatArray:
-        """Return the covariance, shape (4, 4), of the predicted state at a time, with the lasting errors in it."""
+        """Return the covariance, shape (4, 4), of the predicted state at a time.
+
+        It includes the lasting errors.
+        """
         white = horizontal.predicted(at_s)[1]
         return white + lasting_covariance(horizontal.predicted_sensitivities(at_s), self.lasting, 4)
 
 
 def lasting_covariance(sensitivities: Sensitivities, lasting: dict[int, FloatArray], rows: int) -> FloatArray:
-    """Return the covariance, shape (rows, rows), that independent lasting errors (k, k) cause through sensitivities (rows, k)."""
+    """Return the covariance, shape (rows, rows), that independent lasting errors cause.
+
+    `lasting` holds the covariance (k, k) of each error, and `sensitivities` how it enters, shape (rows, k), both by vehicle.
+    """
     total = np.zeros((rows, rows))
     for vehicle, one in sensitivities.items():
         total += one @ lasting[vehicle] @ one.T

@@ -1,4 +1,6 @@
-"""Dilution of precision (DOP): how the geometry of the peers turns a range error into a position error (Qu & Zhang, II.A).
+"""Dilution of precision (DOP): how the peers' geometry turns range errors into position errors.
+
+Source: Qu & Zhang, section II.A.
 
 With unit vectors u_i from peer i to the vehicle as its rows, the design matrix G has the cofactor matrix (G'G)^-1. HDOP is the
 root of the sum over east and north on its diagonal: metres of 1-sigma position error per metre of 1-sigma range error.

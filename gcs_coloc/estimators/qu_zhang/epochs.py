@@ -1,4 +1,7 @@
-"""Gathers the ranges of one vehicle that were measured at nearly the same time, in whatever order they arrive."""
+"""Epochs: the ranges of one vehicle that were measured at nearly the same time.
+
+They are gathered in whatever order they arrive.
+"""
 
 from __future__ import annotations
 

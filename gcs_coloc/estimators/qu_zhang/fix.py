@@ -1,4 +1,7 @@
-"""One position fix from the ranges of one epoch: choice of three peers, trilateration, tests, covariance."""
+"""One position fix from the ranges of one epoch, with its covariance.
+
+Three peers are chosen, their ranges trilaterated, and the result is tested.
+"""
 
 from __future__ import annotations
 
@@ -108,7 +111,10 @@ def solve(
 def _supporters(
     candidates: list[Circle], fixes: FloatArray, fix_covariances: FloatArray, height_variance_m2: float, nis_limit: float
 ) -> FloatArray:
-    """Return how many of all circles go through each fix: shape (N,) from fixes (N, 2) and covariances (N, 2, 2)."""
+    """Return how many of all circles go through each fix, shape (N,).
+
+    `fixes` is of shape (N, 2), `fix_covariances` of shape (N, 2, 2).
+    """
     offsets = fixes[:, np.newaxis] - np.array([one.centre_m for one in candidates])
     residual = np.array([one.squared_m2 for one in candidates]) - (offsets**2).sum(axis=-1)
     centre = np.array([one.centre_covariance + one.lasting_covariance[:2, :2] for one in candidates])
@@ -125,7 +131,10 @@ def _most_supported(
     predicted: tuple[FloatArray, FloatArray] | None,
     nis_limit: float,
 ) -> int | None:
-    """Return the index of the chosen fix, of (N, 2), (N, 2, 2) and (N,); None where the best supported exclude each other."""
+    """Return the index of the chosen fix among those that most circles support.
+
+    Of N fixes, the shapes are (N, 2), (N, 2, 2) and (N,). None means that the best supported ones exclude each other.
+    """
     best = np.flatnonzero(supporters == supporters.max())
     if predicted is not None:
         agree = _distance_nis(fixes[best] - predicted[0], covariances[best] + predicted[1]) <= 2.0 * nis_limit
@@ -140,7 +149,10 @@ def _distance_nis(differences: FloatArray, covariances: FloatArray) -> FloatArra
 
 
 def published_covariance(fix: Fix, circles: list[Circle], predicted_m: FloatArray | None) -> FloatArray:
-    """Return the covariance, shape (2, 2), m^2, that the paper gives the fix (Eq. 23-26): s_i^2 from the peers' filters alone."""
+    """Return the covariance, shape (2, 2), m^2, that the paper gives the fix (Eq. 23-26).
+
+    Its s_i^2 come from the peers' filters alone.
+    """
     chosen = [one for one in circles if one.peer in fix.peers]
     at = fix.position_m if predicted_m is None else predicted_m
     centres = np.array([one.centre_m for one in chosen])
@@ -181,9 +193,10 @@ def _fix(
 def circles_of(
     epoch: RangeEpoch, own: PeerTrack, peers: Mapping[int, PeerTrack], at_s: float, settings: QuZhangSettings
 ) -> tuple[list[Circle], list[str]]:
-    """Return the circles of the epoch's ranges at the time `at_s`, and the reasons in words why others are unusable.
+    """Return the circles of an epoch's ranges at `at_s`, and the reasons why others are unusable.
 
-    `peers` are the tracks of the vehicles that may serve as peers. Without a height of its own the vehicle has no circle.
+    The reasons are in words. `peers` are the tracks of the vehicles that may serve as peers. Without a height of its own the
+    vehicle has no circle.
     """
     circles, reasons = [], []
     for peer, measurement in sorted(epoch.ranges.items()):
@@ -203,7 +216,7 @@ def fix_of(
     at_s: float,
     settings: QuZhangSettings,
 ) -> Fix | str:
-    """Return the fix with the covariance that the settings choose, or the reason in words why there is none.
+    """Return the fix with the covariance that the settings choose, or why there is none, in words.
 
     `predicted` is where the vehicle's filter expects it, position (2,) and covariance (2, 2), None where it has none.
     """

@@ -6,7 +6,10 @@ from enum import StrEnum
 
 
 class QuZhangOutcome(StrEnum):
-    """What became of a measurement or an epoch of ranges. The values are the keys of `counts()` and the metric's labels."""
+    """What became of a measurement or an epoch of ranges.
+
+    The values are the keys of `counts()` and the labels of the metric.
+    """
 
     NO_CLASS = "vehicle class not used by this estimator"
     NO_ATTITUDE = "attitude not used by this estimator"

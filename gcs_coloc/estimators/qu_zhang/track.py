@@ -1,4 +1,7 @@
-"""The track of one vehicle from its own sensors: a horizontal and a vertical constant-velocity filter (Qu & Zhang, Eq. 27-31)."""
+"""The track of one vehicle from its own sensors.
+
+It is a horizontal and a vertical constant-velocity filter (Qu & Zhang, Eq. 27-31).
+"""
 
 from __future__ import annotations
 
@@ -55,7 +58,10 @@ class NisGate:
 
 @cache
 def threshold(probability: float, degrees_of_freedom: int) -> float:
-    """Return the NIS that a consistent measurement stays below with the given probability (chi-square quantile)."""
+    """Return the NIS that a consistent measurement stays below with the given probability.
+
+    It is a quantile of the chi-square distribution.
+    """
     return float(chi2.ppf(probability, degrees_of_freedom))
 
 
@@ -144,7 +150,10 @@ class PeerTrack:
         )
 
     def add_position(self, measurement: PositionMeasurement) -> bool:
-        """Take a position, and velocity where known; return whether the gate let it pass. The first starts the filters."""
+        """Update with a position, and velocity where known; return whether the gate let it pass.
+
+        The first position starts the filters.
+        """
         if self.horizontal is None or self.vertical is None:
             self.start(measurement)
             return True

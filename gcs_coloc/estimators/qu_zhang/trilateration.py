@@ -1,4 +1,6 @@
-"""Trilateration: a position from three ranges in the plane, with its covariance (Qu & Zhang, Eq. 16-26).
+"""Trilateration: a position from three ranges in the plane, with its covariance.
+
+Source: Qu & Zhang, Eq. 16-26.
 
 With peers at (x_i, y_i), ranges rho_i and A = X^2 + Y^2, the three circles are linear in (X, Y, A):
 
@@ -40,7 +42,10 @@ def barycentric_gradients(points: FloatArray) -> FloatArray:
 
 
 def gains(centres: FloatArray) -> FloatArray:
-    """Return the first two rows of H^-1, shape (..., 2, 3), 1/m: the move of the fix per m^2 in each squared range."""
+    """Return the first two rows of H^-1, shape (..., 2, 3), 1/m.
+
+    They are the move of the fix per m^2 in each squared range.
+    """
     return np.asarray(-0.5 * barycentric_gradients(centres))
 
 
@@ -64,16 +69,16 @@ def trilaterate(centres: FloatArray, squared_ranges: FloatArray) -> FloatArray:
 
 
 def flatness(centres: FloatArray) -> FloatArray:
-    """Return the height of the peers' triangle over its longest side: 0 for collinear peers, 0.87 for an equilateral triangle.
+    """Return the height of the peers' triangle over its longest side.
 
-    It is the conditioning of H made independent of units and of the origin.
+    It is 0 for collinear peers and 0.87 for an equilateral triangle. It is the conditioning of H made independent of units and of
+    the origin.
 
     Args:
         centres: shape (..., 3, 2), m.
 
     Returns:
         shape (...).
-
     """
     longest_squared = (_sides(centres) ** 2).sum(axis=-1).max(axis=-1)
     return np.asarray(np.abs(_doubled_area(centres)) / np.maximum(longest_squared, np.finfo(np.float64).tiny))
@@ -221,7 +226,10 @@ class Circle:
 
     @property
     def squared_variance_m4(self) -> float:
-        """Its variance from the range and the peer's height, m^4, with the second order that matters for a peer overhead."""
+        """Variance of the squared horizontal range, m^4, from the range and the peer's height.
+
+        It includes the second order, which matters for a peer overhead.
+        """
         return (
             4.0 * self.range_m**2 * self.range_sigma_m**2
             + 2.0 * self.range_sigma_m**4
@@ -267,7 +275,10 @@ def make_circle(
 def range_residual(
     vehicle: int, circle: Circle, predicted: tuple[FloatArray, FloatArray], measured_at_s: float, refused: str | None
 ) -> Residual:
-    """Return the residual of one range against the vehicle's predicted state (4,) and covariance (4, 4) at the epoch."""
+    """Return the residual of one range against the vehicle's predicted state at the epoch.
+
+    `predicted` is the state (4,) and its covariance (4, 4).
+    """
     state, covariance = predicted
     offset = np.array([*(state[[0, 2]] - circle.centre_m), circle.height_m])
     distance_m = float(np.linalg.norm(offset))
