@@ -31,7 +31,10 @@ _MOST_DROPPED = 0.5
 
 @dataclass(slots=True)
 class _Graph:
-    """Poses by robot (time s, x, y, z m), landmarks, ranges (time s, from, to, m, m) and the lines that are wrong."""
+    """What a PyFG file holds: poses by robot, landmarks, ranges, and the lines that are wrong.
+
+    A pose is time in s and x, y, z in m. A range is time in s, from, to, and range and sigma in m.
+    """
 
     dims: int = 0
     poses: dict[str, list[tuple[float, ...]]] = field(default_factory=dict)

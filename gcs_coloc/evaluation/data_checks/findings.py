@@ -163,7 +163,10 @@ def clock_words(offset_s: float) -> str:
 
 
 def unit_question(factor: float, one: str, other: str) -> str:
-    """Return ": are ...?" where `one` quantity is a known unit's multiple of `other`, else "". Each has "{}" for the unit."""
+    """Return ": are ...?" if a quantity is a known unit's multiple of another one, else "".
+
+    `factor` is the first quantity over the other. `one` and `other` name them, each with "{}" for the unit.
+    """
     for known, (small, large) in _FACTORS.items():
         for first, second, wanted in ((one, other, known), (other, one, 1.0 / known)):
             if factor > 0.0 and abs(math.log(factor / wanted)) < _SAME_UNIT:

@@ -86,7 +86,7 @@ def check_ranges(data: RecordedData, *, trust_truth: bool) -> Iterator[DataFindi
 def _mean_findings(pairs: list[RangePair], names: Mapping[int, str]) -> Iterator[DataFinding]:
     """Yield the ranges that are off in the mean, though each of them is within its sigma.
 
-    An estimator averages that away.
+    More ranges do not average that away.
     """
     means = [pair.mean_m() for pair in pairs]
     off = [
@@ -180,7 +180,10 @@ def range_pairs(data: RecordedData, *, trust_truth: bool) -> Iterator[RangePair]
 
 @dataclass(frozen=True, slots=True)
 class _Blame:
-    """What the suspect ranges are called, and the one vehicle they all share, if no sound range is with it."""
+    """What the suspect ranges are called, and the one vehicle that they all share, if there is one.
+
+    That vehicle has no range that is not suspect.
+    """
 
     ranges: str
     vehicle: int | None = None
@@ -200,7 +203,10 @@ def _blame(suspect: list[RangePair], pairs: list[RangePair], names: Mapping[int,
 
 
 class _RangeSet:
-    """The ranges (N,) of several pairs with the positions of both ends (N, 2, 3), under one or another reading."""
+    """The ranges (N,) of several pairs, with the positions (N, 2, 3) of both ends.
+
+    Its methods return residuals under other readings of the positions.
+    """
 
     def __init__(self, pairs: list[RangePair]) -> None:
         self.pairs = pairs
@@ -298,7 +304,10 @@ def _clock_finding(of: str, than: str, offset_s: float, before_m: float, after_m
 
 
 def _small_clock_offset(every: _RangeSet, bad: _RangeSet | None) -> DataFinding | None:
-    """Return the offset of all positions if it moves vehicles by more than the noise, though it is hidden in most pairs."""
+    """Return the finding of a time offset of all positions that is hidden in most pairs.
+
+    None unless the offset moves vehicles by more than the noise.
+    """
     if not every.moves.any():
         return None
     offset_s, left_m = find_small_time_offset_s(lambda by_s: every.shifted_residuals_m(_shift_all(by_s)))
