@@ -1,1 +1,4 @@
-"""Planning: where along their planned ways vehicles would be located if their GPS failed, and what limits it."""
+"""Planning: where vehicles would be located along their planned ways if their GPS failed.
+
+It also states what limits the fix there.
+"""

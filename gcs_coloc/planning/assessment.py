@@ -1,4 +1,7 @@
-"""The assessment of a plan: every vehicle, and every pair where asked, predicted without GPS; the worst stretch and its cause."""
+"""Assessment of a plan: each vehicle predicted without GPS, with its worst stretch and the cause.
+
+Each pair of vehicles is predicted as well where that is asked for.
+"""
 
 from __future__ import annotations
 
@@ -25,9 +28,10 @@ _LIMIT_IN_A_ROW = 2
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """The worst stretch of one vehicle: from when until when, s; why, in words and as a code; whether a fix is missing in it.
+    """The worst stretch of one vehicle, and what makes it the worst.
 
-    `hpl_m`: the largest protection level in it, NaN where there is none.
+    `from_s` and `until_s` are on the plan's clock. `cause` and `code` say why it is the worst, in words and as a code. `has_fix`
+    is False if a fix is missing in it. `hpl_m` is the largest protection level in it, NaN where there is none.
     """
 
     from_s: float
@@ -40,9 +44,10 @@ class Stretch:
 
 @dataclass(frozen=True, slots=True)
 class Outlook:
-    """What is predicted of one vehicle, and its worst stretch. `cannot_tell`: share of the flight in which noise decides.
+    """What is predicted of one vehicle, and its worst stretch.
 
-    Without an estimate, or in one line with its peers: `Prediction.is_told`.
+    `cannot_tell` is the share of the flight in which noise decides: without an estimate, or in one line with the peers
+    (`Prediction.is_told`).
     """
 
     predicted: Prediction
@@ -70,9 +75,10 @@ class Assessment:
 
     @property
     def worst(self) -> Outlook:
-        """The vehicle with the smallest share of a fix, alone without GPS; of equal ones that of the largest protection level.
+        """The vehicle with the smallest share of a fix while it alone is without GPS.
 
-        One whose way ends before its GPS could fail is none, unless there is no other.
+        Of equal ones it is that with the largest protection level. One whose way ends before its GPS could fail is none, unless
+        there is no other.
         """
         flown = [each for each in self.singles if len(each.predicted.at_s)]
         return min(
@@ -81,7 +87,10 @@ class Assessment:
 
     @property
     def least_share(self) -> float:
-        """The smallest share of the flight with a fix of all outlooks; 0 where no way is long enough to lose a GPS on."""
+        """The smallest share of the flight with a fix among all outlooks.
+
+        It is 0 where no way is long enough to lose a GPS on.
+        """
         flown = (each.predicted for each in (*self.singles, *self.pairs) if len(each.predicted.at_s))
         return min((predicted.share_with_fix for predicted in flown), default=0.0)
 
@@ -104,7 +113,10 @@ def _predict_batch(plan: FleetPlan, batch: Sequence[tuple[int, ...]]) -> list[Pr
 
 
 def _batches(plan: FleetPlan, denied: Sequence[tuple[int, ...]]) -> list[tuple[tuple[int, ...], ...]]:
-    """Return the sets of denied vehicles in their order, so many together that a task is worth its way to another process."""
+    """Return the sets of denied vehicles in their order, grouped into tasks.
+
+    A task holds so many sets that it is worth its way to another process.
+    """
     batches: list[list[tuple[int, ...]]] = []
     steps = float(_STEPS_A_TASK)
     for several in denied:
@@ -130,7 +142,10 @@ def outlook(predicted: Prediction) -> Outlook:
 
 
 def worst_stretch(predicted: Prediction) -> Stretch | None:
-    """Return the longest stretch without a fix; where there is none, the half minute of the largest protection levels."""
+    """Return the longest stretch without a fix, or else that of the largest protection level.
+
+    The latter is half a minute long. None means that the prediction has no step.
+    """
     at_s = predicted.at_s
     if not len(at_s):
         return None

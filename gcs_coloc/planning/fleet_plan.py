@@ -1,4 +1,7 @@
-"""The plan of a fleet: vehicles and their motion, stations, and what is assumed of receivers and devices."""
+"""Plan of a fleet: vehicles and their motion, stations, and what is assumed of the devices.
+
+The devices are the receivers, altimeters and ranging devices.
+"""
 
 from __future__ import annotations
 
@@ -107,7 +110,10 @@ class PlanAssumptions:
 
 @dataclass(frozen=True)
 class FleetPlan:
-    """A whole plan. `frame` is where its metres are counted from; `remarks` are lines on what was skipped or assumed."""
+    """A whole plan: its vehicles, stations and assumptions.
+
+    `frame` is where its metres are counted from. `remarks` are lines on what was skipped or assumed.
+    """
 
     frame: LocalFrame
     vehicles: tuple[PlannedVehicle, ...]
@@ -169,7 +175,10 @@ class PlannedMotion:
 
 
 def planned_attitudes(plan: FleetPlan, sysid: int, times_s: FloatArray, step_s: float) -> list[list[AttitudeMeasurement]]:
-    """Return what a vehicle measures of its attitude and airspeed within the step before each time, oldest first."""
+    """Return the attitudes with airspeed that a vehicle measures before each time, oldest first.
+
+    Those of a time are measured within the step that ends then.
+    """
     path = plan.paths[sysid]
     count = math.ceil(step_s / _ATTITUDE_EVERY_S)
     before_s = step_s * np.arange(count - 1, -1, -1) / count

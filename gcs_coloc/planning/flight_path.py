@@ -1,7 +1,8 @@
-"""The flight along planned legs: a point mass with the speed of each leg, and turns as tight as the vehicle's class flies.
+"""Flight path along planned legs: a point mass that flies each leg at the speed of the leg.
 
-A vehicle steers for a point ahead on its leg and takes up the next leg where a turn of its radius meets it, so it cuts corners as
-an autopilot does. Height goes evenly from waypoint to waypoint. No wind, no noise.
+Its turns are as tight as the vehicle's class flies them. A vehicle steers for a point ahead on its leg and takes up the next leg
+where a turn of its radius meets it, so it cuts corners as an autopilot does. Height goes evenly from waypoint to waypoint. No
+wind, no noise.
 """
 
 from __future__ import annotations
@@ -55,7 +56,10 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class PathMotion:
-    """Positions (N, 3) m, velocities (N, 3) m/s and bank angles (N,) rad, right wing down positive, at some times."""
+    """Positions (N, 3) m, velocities (N, 3) m/s and bank angles (N,) rad at some times.
+
+    The right wing down is positive.
+    """
 
     positions_m: FloatArray
     velocities_mps: FloatArray
@@ -64,7 +68,10 @@ class PathMotion:
 
 @dataclass(frozen=True)
 class FlightPath:
-    """One vehicle's flight at steps of `STEP_S` from `begin_s` on: positions (N, 3) m, velocities (N, 3) m/s, bank (N,) rad."""
+    """One vehicle's flight at steps of `STEP_S` from `begin_s` on.
+
+    Positions are (N, 3) m, velocities (N, 3) m/s and bank angles (N,) rad.
+    """
 
     begin_s: float
     positions_m: FloatArray

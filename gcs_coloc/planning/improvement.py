@@ -1,7 +1,7 @@
-"""The improvement of a plan: the one change, of a start, a route or a station, that helps its worst vehicle most.
+"""Improvement of a plan: the one change that helps its worst vehicle most.
 
-All candidates are compared by geometry alone; the best three of each kind are predicted with the filter, and the best of these
-is named with its gain.
+The change is that of a start, a route or a station. All candidates are compared by geometry alone; the best three of each kind
+are predicted with the filter, and the best of these is named with its gain.
 """
 
 from __future__ import annotations
@@ -78,7 +78,10 @@ class Improvement:
 def find_improvement(
     assessed: Assessment, workers: Workers, progress: Progress, kept: KeptResults | None = None
 ) -> Improvement | None:
-    """Return the change that helps the worst vehicle most, None where none helps; what is kept is not computed again."""
+    """Return the change that helps the worst vehicle most, or None where none helps.
+
+    What `kept` holds is not computed again.
+    """
     worst = assessed.worst
     if _is_enough(assessed):
         return None
@@ -109,7 +112,10 @@ def _is_enough(assessed: Assessment) -> bool:
 
 
 def _merit(outlook: Outlook) -> float:
-    """Return the share with a fix, less a thousandth for ten metres of protection level: it decides between equal shares."""
+    """Return the share with a fix, less 0.001 for each ten metres of protection level.
+
+    So the level decides between equal shares.
+    """
     level_m = float(np.nan_to_num(outlook.median_hpl_m, nan=1e3))
     return outlook.predicted.share_with_fix - 1e-4 * min(level_m, 1e3)
 
@@ -176,7 +182,10 @@ def _moved(vehicle: PlannedVehicle, east_m: float, north_m: float) -> PlannedVeh
 
 
 def _badness(plan: FleetPlan, sysid: int, path: FlightPath) -> float:
-    """Return the mean horizontal sigma of single fixes along the way, m, each at most the alert limit: the less, the better."""
+    """Return the mean horizontal sigma of single fixes along the way, m: the less, the better.
+
+    Each sigma counts as the alert limit at most.
+    """
     a = plan.assumptions
     times = np.linspace(path.begin_s, path.end_s, _TIMES)
     here = _positions(path, times)

@@ -107,7 +107,10 @@ class MissionLeg:
 
 @dataclass(frozen=True, slots=True)
 class Mission:
-    """The way of one vehicle; `duration_s` cuts it, None: all is flown. `sysid` None: numbered by the order of the files."""
+    """The way of one vehicle.
+
+    `duration_s` cuts it; None means that all is flown. `sysid` None means that it is numbered by the order of the files.
+    """
 
     name: str
     begin: LatLonAlt

@@ -1,4 +1,6 @@
-"""Readers of plan files: QGroundControl's .plan, Mission Planner's .waypoints (QGC WPL 110), and scenario files (TOML).
+"""Readers of plan files: QGroundControl's .plan, Mission Planner's .waypoints, and scenarios.
+
+A .waypoints file is in the format QGC WPL 110, a scenario in TOML.
 
 Sources: https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html,
 https://mavlink.io/en/file_formats/#mission_plain_text_file.
@@ -301,7 +303,10 @@ def _metres(where: str, name: str, value: object, most_m: float) -> float:
 
 
 def _ways_after(where: str, places: Sequence[tuple[float, float]], end: str, length_m: float) -> list[tuple[float, float]]:
-    """Return what is flown after the last waypoint: straight on, or round again, until the given length is reached."""
+    """Return the places that are flown to after the last waypoint, until a length is reached.
+
+    `end` says whether the vehicle goes straight on or round again.
+    """
     if end == "loop":
         around_m = sum(math.dist(a, b) for a, b in pairwise([*places, places[0]]))
         laps = length_m / max(around_m, 1.0)

@@ -1,4 +1,7 @@
-"""The assessment of a plan as one HTML page that loads nothing: the answer first, then map, tables and plots."""
+"""Report of a plan: its assessment as one HTML page that loads nothing.
+
+The answer comes first, then map, tables and plots.
+"""
 
 from __future__ import annotations
 
@@ -174,7 +177,10 @@ def _draw_map(figure: Any, ink: Ink, assessed: Assessment) -> None:
 
 
 def vehicle_picture(assessed: Assessment, each: Outlook) -> PlotImage:
-    """Draw one vehicle over time: protection level and 95 % bound with the alert limit, HDOP, nodes ranged."""
+    """Draw one vehicle over time: protection level, 95 % bound, HDOP and nodes ranged.
+
+    The alert limit is drawn as well.
+    """
     return in_both_inks(lambda figure, ink: _draw_vehicle(figure, ink, assessed, each), (9.0, 5.0))
 
 

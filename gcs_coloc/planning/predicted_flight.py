@@ -40,11 +40,12 @@ class Prediction:
 
     @property
     def is_told(self) -> NDArray[np.bool_]:
-        """Whether the size of the bound is told, (N,). Without an estimate, or in one line with the peers, noise decides.
+        """Whether the prediction tells the size of the bound, (N,).
 
-        In one line the ranges bend with the error itself, which an error of zero does not show: the bound is an upper one. It
-        stays so for a while after. Where the estimate leaves its bound though nothing errs, the filter has lost a manoeuvre of
-        the plan, and the bound is none.
+        Noise decides without an estimate, with fewer than two nodes ranged, or in one line with the peers. In one line the ranges
+        bend with the error itself, which an error of zero does not show: the bound is an upper one. It stays so for a while
+        after. Where the estimate leaves its bound though nothing errs, the filter has lost a manoeuvre of the plan, and the bound
+        is none.
         """
         bad = ~np.isfinite(self.bound_95_m) | (self.ranged < _LEAST_RANGED) | (self.hdop >= IN_LINE_HDOP)
         bad |= self.offset_m > self.bound_95_m

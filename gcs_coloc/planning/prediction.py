@@ -1,8 +1,9 @@
-"""The prediction: the fleet filter along planned ways, with measurements of the true positions and no noise drawn.
+"""Prediction: the fleet filter along planned ways, with measurements without noise.
 
-It is the service's own filter, hypotheses, protection level and fix policy. Measurements of one step are condensed into one of
-the same information: n ranges of white noise sigma into one of sigma / sqrt(n). The streams' noise counts as known (eq. (16) of
-docs/explanation/fleet-filter.md), and the level of gusts as the settings have it: with no noise nothing could be learned.
+The measurements are those of the true positions. Filter, hypotheses, protection level and fix policy are the service's own.
+Measurements of one step are condensed into one of the same information: n ranges of white noise sigma into one of sigma /
+sqrt(n). The streams' noise counts as known (eq. (16) of docs/explanation/fleet-filter.md), and the level of gusts as the settings
+have it: with no noise nothing could be learned.
 """
 
 from __future__ import annotations
@@ -85,7 +86,10 @@ def longest_step_s(plan: FleetPlan, denied: tuple[int, ...]) -> float:
 
 
 class _Recursion:
-    """The filter along the plan with some vehicles denied, step by step; `rows` are its results by denied vehicle."""
+    """The filter along the plan with some vehicles denied, step by step.
+
+    `rows` holds its results by denied vehicle.
+    """
 
     def __init__(self, plan: FleetPlan, denied: tuple[int, ...], step_s: float) -> None:
         self._plan, self._denied = plan, denied
@@ -114,7 +118,10 @@ class _Recursion:
         self._introduce()
 
     def step(self, k: int) -> None:
-        """Feed the filter with all that is measured in the step that ends at a time of `times_s`, and keep what it states."""
+        """Feed the filter with all that is measured in one step, and keep what it states.
+
+        The step ends at `times_s[k]`.
+        """
         at_s = self.times_s.item(k)
         here, velocities = self._motion.in_flight(k)
         self._update_denied(at_s, here)
@@ -161,7 +168,10 @@ class _Recursion:
             self._policies.setdefault(sysid, FixPolicy(self._a.aiding, at_s))
 
     def _nodes_in_range(self, sysid: int, here: Mapping[int, Vector3]) -> dict[int, Vector3]:
-        """Return the unit vectors of the nodes that a vehicle ranges, by node; other denied vehicles are among them."""
+        """Return the unit vectors of the nodes that a vehicle ranges, by node.
+
+        Other denied vehicles are among the nodes.
+        """
         peers = {v: place for v, place in here.items() if v != sysid}
         peers |= {node: station.position_enu_m for node, station in self._stations.items()}
         return unit_vectors(here[sysid], peers, self._a.max_range_m)
@@ -194,7 +204,10 @@ class _Recursion:
         self._feed(RangeMeasurement(sysid, node, at_s, at_s, range_m, self._range_sigma_m, samples=samples))
 
     def _forget_bias_window(self, sysid: int) -> None:
-        """Keep the filter from looking for lasting errors of ranges: without noise there are none but those of its own model."""
+        """Keep the filter from looking for lasting errors of ranges.
+
+        Without noise there are none but those of its own model.
+        """
         for model in (self._filter.main, *(each.model for each in self._filter.hypotheses.values())):
             if sysid in model.records:
                 model.records.writable(sysid).bias_window = None
