@@ -252,7 +252,10 @@ class FleetModel:
         return result
 
     def _consider_bias(self, cluster: Cluster, pair: Key, bias: PairBias | None) -> None:
-        """Let the bias of a pair be as large as its ranges have shown, and be corrected by no range, eq. (33)."""
+        """Set the sigma of a pair's bias to what its ranges have shown, eq. (33).
+
+        A bias that was found is corrected by no range.
+        """
         usual_m = self.settings.range_bias_sigma_m
         before_m, now_m = self.considered_m.get(pair, usual_m), usual_m if bias is None else bias.sigma_m
         if now_m != before_m:

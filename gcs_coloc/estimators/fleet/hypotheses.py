@@ -299,7 +299,10 @@ class FleetHypotheses:
 
 
 def _are_apart(a: Estimate, b: Estimate) -> bool:
-    """Whether the mean of two estimates is at neither: no mixture of them is a place."""
+    """Return whether the mean of two estimates is at neither of their places.
+
+    No mixture of them is a place then.
+    """
     d = (b.position_enu_m - a.position_enu_m)[:2]
     return min(float(d @ np.linalg.solve(one.covariance[:2, :2], d)) for one in (a, b)) > 4.0 * _APART_NIS
 

@@ -92,9 +92,9 @@ def step_lengths_s(horizon_s: float) -> list[float]:
 
 
 class _LossPrediction:
-    """A model of one vehicle of its own; `cluster` is None where nothing tells where the vehicle is.
+    """The filter of one vehicle alone, by which the loss of its GPS is predicted.
 
-    `delay_s` is how long after its measuring a range arrives.
+    `cluster` is None where nothing tells where the vehicle is. `delay_s` is how long after its measuring a range arrives.
     """
 
     def __init__(self, model: FleetModel, query: LossQuery) -> None:
@@ -186,7 +186,7 @@ class _LossPrediction:
             self._use_ranges(stream, span_s)
 
     def estimate(self, at_s: float) -> Estimate | NoEstimate:
-        """Return what would be stated."""
+        """Return the estimate that would be stated, or why there would be none."""
         assert self.cluster is not None
         where = estimate_of_cluster(self.cluster, self._vehicle, at_s)
         if isinstance(where, NoEstimate):

@@ -72,7 +72,10 @@ class ReflectionHypothesis:
         self.log_odds, self._since_s = 0.0, -math.inf
 
     def compare_with(self, other: ReflectionHypothesis) -> None:
-        """State the odds against another hypothesis, both so far against the same model."""
+        """Change the odds to those against another hypothesis.
+
+        The odds of both were against the same model so far.
+        """
         if self.motion_only or other.motion_only:
             # Bounded evidence says how the motion was, and not by how much one of the two fits better.
             self.reset_odds()
@@ -91,7 +94,7 @@ def relative_side(cluster: Cluster, other: Cluster, denied_vehicle: int, plane: 
 
 
 def is_merged(cluster: Cluster, other: Cluster, denied_vehicle: int, at_s: float) -> bool:
-    """Whether a vehicle's states in two models are the same for all that they tell."""
+    """Return whether a vehicle's states in two models are too close to tell them apart."""
     x, P = cluster.predict(denied_vehicle, at_s)
     other_x, other_P = other.predict(denied_vehicle, at_s)
     d, S = (other_x - x)[:6], (P + other_P)[:6, :6]

@@ -29,7 +29,10 @@ _UNSHOWN_LOG_ODDS = -3.0
 def is_searching(
     clusters: ClusterSet, records: Records, vehicle: int, other: int, m: RangeMeasurement, settings: FleetSettings
 ) -> bool:
-    """Whether a denied vehicle is searched, also from this range on: it is too uncertain to linearise it."""
+    """Return whether a denied vehicle is searched; begin its search if this range needs one.
+
+    It does where the vehicle is too uncertain to linearise the range.
+    """
     record, cluster = records[vehicle], clusters.get(vehicle)
     if cluster is None:
         return record.search is not None

@@ -144,7 +144,7 @@ class QuZhangFilter:
         return taken
 
     def counts(self) -> Mapping[str, int]:
-        """Return how often what happened to measurements and epochs, by reason in words."""
+        """Return the number of measurements and epochs by outcome, in words."""
         return dict(self._counts)
 
     def _new_denied_vehicle(self, vehicle: int, at_s: float) -> DeniedVehicleFilter:

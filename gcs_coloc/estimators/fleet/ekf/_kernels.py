@@ -48,7 +48,7 @@ class Transition:
         self._q = cast("memoryview[float]", self.Q.reshape(-1).data)
 
     def __reduce__(self) -> tuple[type[Transition], tuple[()]]:
-        """A copy is a new one: nothing in it outlasts a step."""
+        """Copy it as a new transition: nothing in it outlasts a step."""
         return Transition, ()
 
     def set_motion(self, x: Sequence[float], step_s: float, turn_radps: float, *, in_wind: bool) -> tuple[float, ...]:

@@ -78,7 +78,7 @@ class LinearisedMeasurement(NamedTuple):
 def position_report(
     joint: JointState, m: PositionMeasurement, white_sigma_m: tuple[float, float], since_velocity_s: float
 ) -> LinearisedMeasurement:
-    """Position report with its error, and velocity: h = (p + b_p, v), eq. (11).
+    """Linearise a position report with its error, and velocity: h = (p + b_p, v), eq. (11).
 
     Source: Bar-Shalom, Li, Kirubarajan 2001, section 8.4 (autocorrelated measurement noise as a state); PX4 EKF2 fuses GNSS
     position and velocity alike. R: white sigmas in m (horizontal, vertical); `since_velocity_s` is the time since the last
@@ -145,7 +145,9 @@ def air_residuals(ve: float, vn: float, airspeed_mps: float, yaw_rad: float, var
 def air_velocity(
     joint: JointState, m: AttitudeMeasurement, airspeed_mps: float, since_s: float, s: FleetSettings, noise_level: float
 ) -> LinearisedMeasurement:
-    """Airspeed and heading: h = (|v - w| + b_V, V (course(v - w) + b_psi)), eq. (13), horizontal.
+    """Linearise airspeed and heading: h = (|v - w| + b_V, V (course(v - w) + b_psi)), eq. (13).
+
+    Velocities and airspeed are horizontal.
 
     Source: PX4 EKF2, airspeed and sideslip fusion; here the heading error is a state and sideslip is part of the noise.
     R: the air noise at its learned level, correlated over `air_noise_time_s`, with `since_s` since the last attitude.

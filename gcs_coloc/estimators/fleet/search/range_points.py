@@ -84,6 +84,9 @@ def _on_sphere(mean_m: FloatArray, covariance_m2: FloatArray, radius_m: float, f
 
 
 def _level(unit: FloatArray) -> FloatArray:
-    """Return the horizontal unit vectors across others; no point of a lattice is right above its centre."""
+    """Return horizontal unit vectors at right angles to other unit vectors.
+
+    No point of a lattice is right above its centre, so there is always one.
+    """
     level = np.stack([unit[:, 1], -unit[:, 0], np.zeros(len(unit))], axis=1)
     return np.asarray(level / np.linalg.norm(level, axis=1)[:, None])
