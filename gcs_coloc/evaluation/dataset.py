@@ -241,7 +241,7 @@ def _antenna(row: TableRow, column: str, node: Node) -> str:
 
 
 def _times(row: TableRow) -> tuple[float, float]:
-    """When it was measured and when it arrived, in seconds."""
+    """Return when a row's quantity was measured and when it arrived, s."""
     measured_at_s = row.number("t_s")
     if not row.has("arrival_s"):
         return measured_at_s, measured_at_s

@@ -54,11 +54,11 @@ class TableRow:
         return column in self._header
 
     def text(self, column: str) -> str:
-        """The cell as it stands."""
+        """Return the text of a cell, without blanks around it."""
         return self._cells[self._header.index(column)].strip()
 
     def number(self, column: str) -> float:
-        """A finite number."""
+        """Return the finite number in a cell."""
         text = self.text(column)
         try:
             value = float(text)
@@ -69,21 +69,24 @@ class TableRow:
         return value
 
     def positive(self, column: str) -> float:
-        """A finite number above zero."""
+        """Return the finite number above zero in a cell."""
         value = self.number(column)
         if value <= 0.0:
             raise self.error(column, f"{value:g} has to be above 0")
         return value
 
     def not_negative(self, column: str) -> float:
-        """A finite number not below zero."""
+        """Return the finite number not below zero in a cell."""
         value = self.number(column)
         if value < 0.0:
             raise self.error(column, f"{value:g} must not be negative")
         return value
 
     def within(self, column: str, least: float, most: float, what: str) -> float:
-        """A finite number from `least` to `most`; `what` says what it would have to be."""
+        """Return the finite number from `least` to `most` in a cell.
+
+        `what` says in the error what it would have to be.
+        """
         value = self.number(column)
         if not least <= value <= most:
             raise self.error(column, f"{value:g} is not within {least:g} to {most:g}: {what}")
@@ -94,7 +97,7 @@ class TableRow:
         return not self.has(column) or not self.text(column)
 
     def integer(self, column: str, least: int, most: int) -> int:
-        """A whole number from `least` to `most`."""
+        """Return the whole number from `least` to `most` in a cell."""
         text = self.text(column)
         try:
             value = int(text)
@@ -105,12 +108,12 @@ class TableRow:
         return value
 
     def error(self, column: str, problem: str) -> DataError:
-        """An error at this row's place, to be raised by the caller."""
+        """Return an error at this row's place, to be raised by the caller."""
         return DataError(f"{self._path}, line {self._line}, column {self._header.index(column) + 1} ({column}): {problem}")
 
 
 def read_table(path: Path, required: Sequence[str], optional: Sequence[str] = ()) -> Iterator[TableRow]:
-    """The rows of a CSV file with a header line, in order.
+    """Yield the rows of a CSV file with a header line, in order.
 
     Blank lines are passed over, other columns ignored.
 

@@ -92,9 +92,9 @@ def find_improvement(
 
 
 def no_improvement(assessed: Assessment) -> str:
-    """Return that no change helps, in words; empty where none is needed.
+    """Return the sentence that no change helps, or an empty text where none is needed.
 
-    It is of an assessment of which no change was found.
+    The assessment is one for which no change was found.
     """
     if _is_enough(assessed):
         return ""
@@ -177,7 +177,7 @@ def _movable(plan: FleetPlan, worst: Outlook) -> list[PlannedVehicle]:
 
 
 def _moved(vehicle: PlannedVehicle, east_m: float, north_m: float) -> PlannedVehicle:
-    """Return a vehicle whose waypoints are all moved but the place where it begins."""
+    """Return a vehicle with all waypoints moved, but not the place where it begins."""
     return replace(vehicle, legs=tuple(leg.moved(east_m, north_m) for leg in vehicle.legs))
 
 

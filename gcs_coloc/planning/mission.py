@@ -78,7 +78,10 @@ class PerVehicle(Generic[T]):
     of_one: Mapping[int, T] = field(default_factory=dict)
 
     def of(self, sysid: int | None) -> T | None:
-        """Return what is told of a vehicle; None: of one whose number is not known."""
+        """Return the value of a vehicle, or None where the files decide.
+
+        `sysid` is None for a vehicle whose number is not known.
+        """
         return self.of_one.get(sysid, self.of_all) if sysid is not None else self.of_all
 
 
@@ -233,7 +236,7 @@ def _place(
 
 
 def check_place(where: str, lat_deg: float, lon_deg: float, alt_m: float) -> None:
-    """Check a place.
+    """Check that a place is one on earth.
 
     Raises:
         DataError: it is none on earth; the text begins with `where`.
@@ -245,7 +248,7 @@ def check_place(where: str, lat_deg: float, lon_deg: float, alt_m: float) -> Non
 
 
 def check_speed(where: str, name: str, speed_mps: float) -> float:
-    """Return a speed.
+    """Return a speed if it is one that vehicles of ours fly at.
 
     Raises:
         DataError: nothing of ours flies at it; the text begins with `where`.

@@ -25,7 +25,9 @@ _MOST_PAIRS = 30  # chosen: as many as a page shows
 
 
 def page(assessed: Assessment, improvement: Improvement | None, *, is_improvement_sought: bool = True) -> str:
-    """Return the page as text; that no change helps is said only where one was sought.
+    """Return the page as text.
+
+    That no change helps is said only where one was sought.
 
     Raises:
         UsageError: matplotlib is not installed.
@@ -148,7 +150,7 @@ def _assumptions(assessed: Assessment) -> str:
 
 
 def map_picture(assessed: Assessment) -> PlotImage:
-    """Draw the ways; where a vehicle alone without GPS would have no fix in another colour."""
+    """Draw the ways of all vehicles, with the parts without a fix in another colour."""
     return in_both_inks(lambda figure, ink: _draw_map(figure, ink, assessed))
 
 

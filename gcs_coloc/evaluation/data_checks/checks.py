@@ -84,7 +84,7 @@ def check_delays(delays_s: Mapping[str, FloatArray]) -> Iterator[DataFinding]:
 
 
 def _check_clocks(data: RecordedData) -> Iterator[DataFinding]:
-    """Yield tracks that are not of the time of the ranges, and times that can hardly be seconds."""
+    """Yield findings on tracks at other times than the ranges, and on times that are hardly seconds."""
     ranges_s = data.ranges[:, 0]
     if len(ranges_s) == 0:
         return
@@ -263,7 +263,7 @@ def _velocity_explanations(integrated_m: FloatArray, moved_m: FloatArray) -> Ite
 
 
 def _left_m(vectors_m: FloatArray, reference_m: FloatArray) -> float:
-    """Return the median distance between vectors (N, 3) of one row."""
+    """Return the median distance between vectors (N, 3) and their references (N, 3), m."""
     return median_residual_m(np.linalg.norm(vectors_m - reference_m, axis=1))
 
 

@@ -139,7 +139,7 @@ def find_time_offset_s(residual: ResidualOfOffset) -> tuple[float, float]:
 
 
 def find_small_time_offset_s(residual: ResidualOfOffset) -> tuple[float, float]:
-    """Return as `find_time_offset_s`, within 2 s."""
+    """Return the offset within 2 seconds that leaves the least median residual, s, and that residual, m."""
     return _best_offset(residual, _FINE_S)
 
 
