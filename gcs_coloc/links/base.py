@@ -1,5 +1,6 @@
-"""Base of all links: connection strings in the forms of MAVProxy and its kin, the registry of their schemes, and the link.
+"""Base of all links: the link, its address, and the registry of connection string schemes.
 
+The connection strings have the forms of MAVProxy.
 A link scheme is one module and one line in `SCHEMES`: the module holds a class that implements `LinkAddress`, and the link
 that this class makes.
 """
@@ -40,12 +41,18 @@ class Link(Protocol):
 
     @property
     def peers(self) -> tuple[Address, ...]:
-        """Where to send before anyone was heard (a vehicle may wait for our first frame); empty where we can only wait."""
+        """The addresses to send to before anyone was heard.
+
+        A vehicle may wait for our first frame. Empty where the link can only wait for the vehicles.
+        """
         ...
 
     @property
     def is_late(self) -> bool:
-        """Whether what it delivers may have waited, as datagrams do in the system while the event loop is held up."""
+        """Whether the data that it delivers may have waited before.
+
+        Datagrams wait in the system while the event loop is held up.
+        """
         ...
 
     async def open(self) -> None:
@@ -57,8 +64,9 @@ class Link(Protocol):
         ...
 
     def send(self, address: Address, payload: bytes, *, forwarded: bool = False) -> None:
-        """Send whole frames to an address that was heard from. Never blocks and never raises; what is not sent is counted.
+        """Send whole frames to an address that was heard from.
 
+        Never blocks and never raises: what is not sent is counted.
         Payloads that are `forwarded` for others wait behind those that are not, where the link is slow.
         """
         ...
@@ -148,7 +156,10 @@ def parse(text: str) -> LinkAddress:
 
 
 def parse_out(text: str) -> LinkAddress:
-    """Read a ground tool's connection string: as `parse`, but `udp:` and a bare HOST:PORT are sent to, as MAVProxy's."""
+    """Read a ground tool's connection string.
+
+    As `parse`, but `udp:` and a bare HOST:PORT are addresses to send to, as in MAVProxy.
+    """
     return _parse(text, "udpout", "HOST:PORT or udp:HOST:PORT (sent to that address)", "udp:[::1]:14551")
 
 
@@ -186,7 +197,11 @@ def check_outs(outs: Sequence[str], links: Sequence[str]) -> None:
 
 
 def _parse(text: str, udp_scheme: str, bare_forms: str, ipv6_example: str) -> LinkAddress:
-    """Read `text`. `udp_scheme` is the scheme of `udp:` and of a text without one; the rest is shown where it is malformed."""
+    """Read the connection string `text`.
+
+    `udp_scheme` is the scheme of `udp:` and of a text without a scheme.
+    `bare_forms` and `ipv6_example` are for the message of the UsageError where `text` is malformed.
+    """
     stripped = text.strip()
     scheme, colon, rest = stripped.partition(":")
     if stripped.startswith("/"):

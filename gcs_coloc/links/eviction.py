@@ -1,4 +1,7 @@
-"""Eviction: which entry of a full table makes room: one rule for every table that senders, also hostile ones, can fill."""
+"""Eviction: which entry of a full table makes room for a new one.
+
+It is one rule for every table that senders can fill, hostile ones included.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +15,11 @@ Key = TypeVar("Key")
 def find_evicted(
     by_age: Iterable[Key], *, is_silent: Callable[[Key], bool], is_proven: Callable[[Key], bool], for_proven: bool
 ) -> Key | None:
-    """Return the entry that makes room for a new one, None where none does.
+    """Return the entry that makes room for a new one; None where none does.
 
-    `by_age` has the keys, that of the longest silent first. Silent entries go first, among them the unproven ones. Of those that
-    are not silent none goes, but an unproven one for a vehicle that is proven (`for_proven`): a flood of new senders keeps no
-    known vehicle out.
+    `by_age` has the keys, that of the longest silent first. Silent entries go first, among them the unproven ones.
+    An entry that is not silent goes only if it is unproven, and only for a proven vehicle (`for_proven`).
+    So a flood of new senders keeps no known vehicle out.
     """
     keys = list(by_age)
     silent = list(takewhile(is_silent, keys))

@@ -68,8 +68,9 @@ class _Out:
 
 
 class Forwarder:
-    """Forwards frames, both ways. Every call returns at once: a slow or absent ground tool loses its own oldest frames.
+    """Forwards frames between vehicles and ground tools, both ways.
 
+    Every call returns at once: a slow or absent ground tool loses its own oldest frames.
     `routes`, `signed`: the fleet's. `is_aided` is whether we send positions to a vehicle; `forwarded` is called with every
     frame that was sent on to a vehicle, `foreign_gps_input` with a ground tool's GPS_INPUT and each vehicle it was sent to.
     """
@@ -139,7 +140,10 @@ class Forwarder:
             self._to_ground(b"".join(good), len(good), now_s)
 
     def from_ground_tool(self, link: Link, address: Address, payload: bytes, received_at_s: float) -> None:
-        """Send the valid frames of one datagram, or of a stream, from a ground tool to the vehicles that they address."""
+        """Send the valid frames in a ground tool's payload to the vehicles that they address.
+
+        `payload` is one datagram, or one whole frame of a stream.
+        """
         out = self._outs[link]
         if not self._rate_limiter.admits((link, address), len(payload), received_at_s):
             out.refused += 1
@@ -164,9 +168,10 @@ class Forwarder:
         self._to_ground(frame, 1, self._clock())
 
     def send_status(self, texts: Sequence[StatusText], sysids: Sequence[int]) -> None:
-        """Send the ground tools our heartbeat, and texts; `sysids` are the vehicles, each of which a fleet's text is about.
+        """Send the ground tools our heartbeat and status texts.
 
         A text has its vehicle's system id and our component id: tools show those of the system that they look at.
+        `sysids` are the vehicles. A text without a system id is about the fleet and is sent once for each of them.
         Nothing is sent before a vehicle is heard: Mission Planner connects to what it hears first, and alone.
         """
         if not sysids:
@@ -233,7 +238,10 @@ class Forwarder:
         return Refusal.GROUND_TOOL_USES_VEHICLE_ID if self._routes.is_vehicle(raw.sysid) else None
 
     def _admits_sender(self, out: _Out, address: Address, now_s: float) -> bool:
-        """Whether a datagram comes from one of this link's ground tools; a new sender to a listening port becomes one."""
+        """Whether a datagram comes from one of this link's ground tools.
+
+        A new sender to a listening port becomes one.
+        """
         if not out.listens:
             # A port that we only send from is open to the network as well.
             if address not in out.link.peers:
@@ -267,7 +275,10 @@ class Forwarder:
             self._forwarded(raw)
 
     def _unaided(self, raw: RawFrame, routes: Iterable[Route], out: _Out) -> list[Route]:
-        """Those of the routes where we aid nobody: of two senders of positions a vehicle would use both, in turns."""
+        """Return the routes at which we aid nobody.
+
+        A vehicle that is sent positions by two senders would use both, in turns.
+        """
         vehicles, unaided = self._routes.vehicles(), []
         for route in routes:
             sysids = vehicles.get(route, set())

@@ -20,8 +20,9 @@ MAX_SOURCES = 256
 
 @dataclass(slots=True)
 class _TokenBucket:
-    """One source: when its bucket will be full again, when it was last heard (service times, s), and whose it is.
+    """The token bucket of one source; times are service times in s.
 
+    `full_at_s` is when it will be full again, `heard_at_s` when the source was last heard.
     `proven` has the system ids of the proven vehicles that were heard from there last.
     """
 
@@ -31,10 +32,10 @@ class _TokenBucket:
 
 
 class RateLimiter:
-    """Admits up to `bytes_per_s` from each added source, and as much from all others together, before anything is decoded.
+    """Limits the bytes that each source may send, before anything is decoded.
 
-    A token bucket for each source, kept as the one time at which it will be full again (the generic cell rate algorithm of
-    ITU-T I.371).
+    Each added source may send up to `bytes_per_s`, and all others together as much.
+    Each has a token bucket, kept as the one time at which it will be full again (the generic cell rate algorithm of ITU-T I.371).
 
     A flood, from however many addresses, takes nothing from the sources that were added before it, and a new vehicle still
     gets through to be added. At most `max_sources` are kept.

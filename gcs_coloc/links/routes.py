@@ -24,9 +24,10 @@ WARN_EVERY_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Blocked:
-    """Why not everything may be sent to this vehicle. `shared_with`: the system ids of the other vehicles at its address.
+    """Why a vehicle may not be sent everything, or nothing at all.
 
-    `route`: where it is reached by what its target alone heeds; None where it is not reached at all.
+    `shared_with`: the system ids of the other vehicles at its address.
+    `route`: where messages with a target field still reach it; None where it is not reached at all.
     """
 
     reason: RouteBlock
@@ -36,8 +37,9 @@ class Blocked:
 
 @dataclass(slots=True)
 class _Binding:
-    """Where a sender is heard, since when it is known, at whatever address, and when it was heard last; service times, s.
+    """Where a sender is heard, since when it is known, and when it was heard last.
 
+    `since_s` is the first time at any address. Times are service times in s.
     `is_other`: its own heartbeat says that it is no autopilot, as a ground station's does.
     """
 
@@ -90,10 +92,11 @@ class RouteTable:
         is_other_heartbeat: bool = False,
         now_s: float,
     ) -> bool:
-        """Learn from one frame; False if it must not be used, because its sender's ids are bound to another address.
+        """Learn from one frame where its sender is; return whether the frame may be used.
 
-        The reason of a refusal is counted: address_conflict, route_table_full. Who says by `is_other_heartbeat` that it is no
-        autopilot, of a system without one, is no vehicle and bound to no address: vehicles forward ground stations.
+        False: the sender's ids are bound to another address, or the table is full. `counts` has which.
+        A sender without an autopilot in its system, whose heartbeat says that it is none (`is_other_heartbeat`), is no vehicle.
+        It is bound to no address, because vehicles forward ground stations.
         """
         heard = Route(link, address)
         # Before any refusal: an autopilot that we refuse at this address would still use what is sent there.
@@ -160,8 +163,9 @@ class RouteTable:
         return sysid in self._autopilots
 
     def reach(self, sysid: int, compid: int) -> tuple[Route, ...]:
-        """Where to send what is addressed to a component of a system, 0 being all of them; nowhere where it was not heard.
+        """Return the routes to a component of a system; component 0 means all of them.
 
+        Empty where the system was not heard.
         A component that was not heard itself is reached wherever its system is: an autopilot forwards what is not for it.
         """
         if sysid in self._autopilots and not self._companions_elsewhere:
@@ -207,7 +211,10 @@ class RouteTable:
         return True
 
     def is_proven(self, sysid: int) -> bool:
-        """Whether an autopilot of that system id has been known for some time: a flood of new ones takes no room from it."""
+        """Whether an autopilot of that system id has been known for `PROVEN_AFTER_S`.
+
+        A flood of new senders takes no room from it.
+        """
         return sysid in self._autopilots and self._autopilots[sysid].is_proven
 
     def _has_room(self, sysid: int, heard: Route, now_s: float, *, is_autopilot_heartbeat: bool) -> bool:
@@ -226,7 +233,10 @@ class RouteTable:
         return True
 
     def _is_proven_at(self, sysid: int, route: Route) -> bool:
-        """Whether a vehicle is proven and its autopilot is reached there: elsewhere anybody may use its system id."""
+        """Whether a vehicle is proven and its autopilot is reached by this route.
+
+        By another route, anybody may use its system id.
+        """
         return self.is_proven(sysid) and self._autopilots[sysid].route == route
 
 

@@ -1,4 +1,7 @@
-"""Scheme `serial`: a serial device, read and written without blocking, and opened again when it is plugged in again."""
+"""Scheme `serial`: a serial device, read and written without blocking.
+
+A device that was unplugged is opened again when it is back.
+"""
 
 from __future__ import annotations
 

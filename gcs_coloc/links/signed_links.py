@@ -34,10 +34,12 @@ class SigningSettings(Protocol):
 
 
 class SignedLinks:
-    """The signing of each of the links that are given by their connection strings; `outs` are those of ground tools.
+    """The signing of each link, by connection string.
+
+    `links` are the vehicles', `outs` those of ground tools.
 
     Raises:
-        ConfigError: the key file is of no use, or the configuration signs a link that there is not.
+        ConfigError: the key file is of no use, or the configuration signs a link that does not exist.
     """
 
     def __init__(self, settings: SigningSettings, links: Sequence[str], outs: Sequence[str] = ()) -> None:
@@ -71,7 +73,10 @@ class SignedLinks:
             self._signing.set_clock(unix_minus_service_s)
 
     def pending_warning(self, now_s: float) -> str | None:
-        """A warning, once each time that the time of signatures comes to run ahead of the host's clock; None otherwise."""
+        """Return a warning when the time of signatures begins to run ahead of the host's clock.
+
+        None where it does not, or where the warning was given already.
+        """
         ahead_s = self._signing.ahead_s(now_s) if self._signing is not None else 0.0
         was_warned, self._warned_ahead = self._warned_ahead, ahead_s > FIRST_CONTACT_S
         if was_warned or not self._warned_ahead:

@@ -1,7 +1,7 @@
-"""The link between the two services of a hot standby: signs of life as datagrams, authenticated by a key of theirs.
+"""The link between the two services of a hot standby: authenticated signs of life.
 
 A datagram is the HMAC-SHA256 (RFC 2104) of what follows it, and that is JSON. Without a key the HMAC is a checksum: it is allowed
-on loopback alone. What is recorded and played back is told by its run and number (`SignOfLife`).
+on loopback alone. A datagram that was recorded and played back is known by its run and number (`SignOfLife`).
 """
 
 from __future__ import annotations
@@ -44,7 +44,10 @@ class StandbyRefusal(StrEnum):
 
 
 class StandbyLink:
-    """Sends signs of life to the other service, at `peer`, and receives its own at `listen`; both are host and port."""
+    """Sends signs of life to the other service and receives its own.
+
+    `peer` is where the other service listens, `listen` where this one does: host and port.
+    """
 
     def __init__(
         self,

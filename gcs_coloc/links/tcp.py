@@ -1,4 +1,4 @@
-"""Schemes `tcp` and `tcpin`: a client that connects again when it is cut off, and a server for several clients."""
+"""Schemes `tcp` and `tcpin`: a TCP client that reconnects, and a server for several clients."""
 
 from __future__ import annotations
 
@@ -182,7 +182,10 @@ class TcpClientLink:
         """Do nothing: asyncio reads its connections."""
 
     def send(self, address: Address, payload: bytes, *, forwarded: bool = False) -> None:
-        """Send frames to the other end; counted as NOT_CONNECTED where it is gone or another one than `address`."""
+        """Send frames to the other end.
+
+        Counted as NOT_CONNECTED where it is gone, or is not `address`.
+        """
         if self._connection is None or self._connection.address != address:
             self.counts.add(Refusal.NOT_CONNECTED)
         else:

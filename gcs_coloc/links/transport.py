@@ -1,4 +1,7 @@
-"""What links of one transport share: a network's host and port; a byte stream's frames, its outbox, and when to retry it."""
+"""Transport of links: network addresses, and what byte streams share.
+
+A byte stream has a queue of unsent payloads, delays between attempts to connect, and a source of whole frames.
+"""
 
 from __future__ import annotations
 
@@ -98,7 +101,10 @@ def reason(error: OSError) -> str:
 
 
 def network_error(address: NetworkAddress, error: OSError) -> LinkError:
-    """Make the error, in words for the operator, of a host that cannot be resolved or a port that cannot be bound."""
+    """Make the LinkError, in words for the operator, of a host or port that cannot be used.
+
+    `error` is the system's: the host cannot be resolved, or the port cannot be bound.
+    """
     if isinstance(error, socket.gaierror):
         return LinkError(f"{address}: host {address.host!r} is not found ({error.strerror})")
     if error.errno == errno.EADDRINUSE:

@@ -73,7 +73,10 @@ class UdpOut(_UdpAddress):
 
 
 class UdpLink:
-    """A UDP socket: bound to a port that vehicles send to (udpin), or sending first to one of theirs (udpout)."""
+    """A UDP socket of a udpin or udpout link.
+
+    A udpin link is bound to a port that vehicles send to; a udpout link sends first, to one of theirs.
+    """
 
     def __init__(self, address: NetworkAddress, handler: DatagramHandler, clock: Clock) -> None:
         self._address = address
@@ -88,11 +91,17 @@ class UdpLink:
 
     @property
     def peers(self) -> tuple[Address, ...]:
-        """The address that a udpout link sends to before it has heard anyone; nobody for udpin or while not open."""
+        """The address that a udpout link sends to before it has heard anyone.
+
+        Empty for udpin, or while the link is not open.
+        """
         return (self._remote,) if self._remote is not None else ()
 
     async def open(self) -> None:
-        """Bind. LinkError where the port is in use, the host is not found or not ours, or is a broadcast or multicast address."""
+        """Bind the socket.
+
+        LinkError where the port is in use, the host is not found or not ours, or is a broadcast or multicast address.
+        """
         loop = asyncio.get_running_loop()
         family, sockaddr = await self._resolve(loop)
         if not self._address.LISTENS:
@@ -126,7 +135,10 @@ class UdpLink:
         return family, sockaddr
 
     def receive_waiting(self, most: int) -> None:
-        """Deliver up to `most` datagrams that wait in the system, each with the time when the system received it."""
+        """Deliver up to `most` datagrams that wait in the system.
+
+        Each has the time when the system received it.
+        """
         if (udp_socket := self._socket) is None:
             return
         handle, now = self._handler, self._clock
