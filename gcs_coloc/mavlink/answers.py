@@ -1,4 +1,7 @@
-"""Answers of vehicles to our requests, and GPS_INPUT of somebody else, to the core's messages: functions as in `inbound`."""
+"""Convert the answers of vehicles, and GPS_INPUT from another sender, to the core's messages.
+
+Its functions take and return the same as those of `inbound`.
+"""
 
 from __future__ import annotations
 
@@ -62,9 +65,10 @@ def command_ack(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Co
 
 
 def param_value(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> ParameterValue | None:
-    """PARAM_VALUE (22). ArduPilot sends an integer as a float, PX4 its four bytes; None where it is no number.
+    """PARAM_VALUE (22); None where the value is no number.
 
-    As a float the bytes of an integer below 2^23 are subnormal, those of a negative one NaN: a whole number is never either.
+    ArduPilot sends an integer as a float, PX4 sends its four bytes in the place of the float's.
+    The bytes of an integer below 2^23 are a subnormal float, those of a negative one NaN: a whole number as a float is neither.
     """
     value, _count, _index, name, kind = values
     if kind in _INTEGER_KINDS and (math.isnan(value) or 0.0 < abs(value) < _LEAST_NORMAL):
@@ -87,7 +91,10 @@ def foreign_gps_input(raw: RawFrame, received_at_s: float, vehicle: int) -> Fore
 
 
 def gps_input(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> ForeignGpsInput:
-    """GPS_INPUT (232) from somebody else. It has no target field: it reaches every vehicle at the address it came from."""
+    """GPS_INPUT (232) from another sender.
+
+    It has no target field: it reaches every vehicle at the address it came from.
+    """
     gps_id = values[15]
     return ForeignGpsInput(sysid, received_at_s, gps_id)
 

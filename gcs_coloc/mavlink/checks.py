@@ -1,4 +1,7 @@
-"""Checks of values that no vehicle can mean. Each returns the value that it checked, in the unit of the core's messages."""
+"""Checks that refuse values which no vehicle can mean.
+
+Each returns the value that it checked, in the unit of the core's messages, or raises InvalidValueError.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,10 @@ class InvalidValueError(Exception):
 
 
 def latitude_longitude_deg(lat_e7: int, lon_e7: int) -> tuple[float, float]:
-    """Check a position in 1e-7 degrees and return it in degrees. 0, 0 is what a receiver without a position sends."""
+    """Check a position in 1e-7 degrees and return it in degrees.
+
+    0, 0 is refused: a receiver without a position sends it.
+    """
     if lat_e7 == 0 and lon_e7 == 0:
         raise InvalidValueError(Field.LAT_LON_ZERO)
     if abs(lat_e7) > 900_000_000:

@@ -40,7 +40,10 @@ _LAYOUTS = {
 
 
 class Frame(NamedTuple):
-    """A frame of a message that we decode: its sender, and the core's message in it (None: there is none, or it was refused)."""
+    """A frame of a message that we decode: its sender, and the core's message in it.
+
+    `message` is None where the frame holds nothing for the core, or was refused.
+    """
 
     sysid: int
     compid: int
@@ -60,11 +63,12 @@ class Frame(NamedTuple):
 
 
 class Decoder:
-    """Decodes datagrams. No content makes it raise: refused frames are in `counts`, by reason (see `Refusal`).
+    """Decodes datagrams and counts the frames that it refuses.
 
+    No content makes it raise. `counts` has the refused frames by reason (see `Refusal`).
     A component is an autopilot if its id is 1, or once it has sent an autopilot's heartbeat, as long as no component 1 of its
-    system has: a companion computer's script may announce one of any kind. `has_other_service`: that of a hot standby uses our
-    system id, with another component id.
+    system has: a companion computer's script may announce an autopilot of any kind.
+    `has_other_service`: the other service of a hot standby uses our system id, with another component id.
     """
 
     def __init__(self, *, own_sysid: int = OWN_SYSID, own_compid: int = OWN_COMPID, has_other_service: bool = False) -> None:
@@ -77,7 +81,7 @@ class Decoder:
         self._with_companion_ranges: set[int] = set()
 
     def pop_behind(self) -> tuple[Hashable, ...]:
-        """The sources, `MAX_BEHIND` at most, of which a frame was refused as SIGNATURE_OLD since the last call.
+        """Return the sources of frames refused as SIGNATURE_OLD since the last call, `MAX_BEHIND` at most.
 
         By MAVLink's rules a key holder that is behind adopts a later time of signatures as soon as it hears one.
         """
@@ -140,7 +144,10 @@ class Decoder:
             frames.append(Frame(raw.sysid, raw.compid, raw.sequence, raw.message_id, message))
 
     def _is_repeated_by_autopilot(self, raw: framing.RawFrame) -> bool:
-        """Whether a DEBUG_VECT is PX4's own copy of a companion's, which has the companion's time by PX4's clock."""
+        """Whether a DEBUG_VECT is PX4's own copy of a companion computer's.
+
+        PX4 puts its own clock's time in it.
+        """
         if raw.message_id != MAVLINK_MSG_ID_DEBUG_VECT:
             return False
         if raw.compid != MAV_COMP_ID_AUTOPILOT1:
@@ -191,7 +198,10 @@ class HeardTruth(NamedTuple):
 
 
 def truth_of(raw: RawFrame, at_s: float) -> HeardTruth | None:
-    """The truth in a frame: SIMSTATE (164) or SIM_STATE (108) of an autopilot; None in any other, or where it is impossible."""
+    """Return the true position in a frame of SIMSTATE (164) or SIM_STATE (108) of an autopilot.
+
+    None for any other frame, or where the position is impossible.
+    """
     names = _IN_E7.get(raw.message_id)
     if names is None or raw.compid != mavlink.MAV_COMP_ID_AUTOPILOT1:
         return None
@@ -220,8 +230,9 @@ Sender = tuple[Hashable, int, int]
 
 @dataclass(slots=True)
 class Reception:
-    """Frames of one sender: `received` without duplicates, `lost` by the gaps in their numbers, `duplicates`.
+    """The frames of one sender, counted: received, lost and duplicates.
 
+    `received` is without duplicates; `lost` is by the gaps in the sequence numbers.
     A gap is known modulo 256 only, so a silence of more than 127 frames counts too few.
     """
 
@@ -232,7 +243,10 @@ class Reception:
     _recent: dict[int, float] = field(default_factory=dict, repr=False)
 
     def add(self, sequence: int, checksum: int, received_at_s: float) -> bool:
-        """Count one frame; False where it is a copy: number and checksum of another not older than `COPY_WITHIN_S`."""
+        """Count one frame; return False where it is a copy.
+
+        A copy has the number and checksum of a frame that came at most `COPY_WITHIN_S` before.
+        """
         recent = self._recent
         fingerprint = sequence << 16 | checksum
         seen_at_s = recent.pop(fingerprint, None)
@@ -256,7 +270,10 @@ class Reception:
 
 
 class SequenceTracker:
-    """The reception of every sender, at most `MAX_SENDERS`; the one silent for longest makes room for a new one."""
+    """The reception of every sender, at most `MAX_SENDERS`.
+
+    The sender that was silent for longest makes room for a new one.
+    """
 
     def __init__(self) -> None:
         self._by_sender: OrderedDict[Sender, Reception] = OrderedDict()
@@ -274,7 +291,10 @@ class SequenceTracker:
         return reception.add(sequence, checksum, received_at_s)
 
     def links(self, sysids: Collection[int]) -> tuple[LinkSnapshot, ...]:
-        """The reception of some vehicles, each over all its links and components, in order of their system ids."""
+        """Return the reception of some vehicles, in order of their system ids.
+
+        That of each is the sum over all its links and components.
+        """
         totals = {sysid: [0, 0, 0] for sysid in sorted(sysids)}
         for (_, sysid, _), reception in self._by_sender.items():
             if sysid in totals:

@@ -1,4 +1,7 @@
-"""The core's outputs, and our own heartbeat, to bytes. Commands and parameters are addressed to the vehicle's autopilot."""
+"""Encoder of the core's outputs and of our own heartbeat: messages to bytes.
+
+Commands and parameters are addressed to the vehicle's autopilot.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +51,10 @@ STREAM_IDS = {stream: _ID_OF_NAME[stream.value] for stream in Stream}
 
 
 class Encoder:
-    """Encodes outputs as MAVLink 2, numbering the frames of each destination on its own; signed where a stamp is given."""
+    """Encodes outputs as MAVLink 2 frames, signed where a stamp is given.
+
+    The frames of each destination are numbered on their own.
+    """
 
     def __init__(self, *, sysid: int = OWN_SYSID, compid: int = OWN_COMPID) -> None:
         self._mavlink = mavlink.MAVLink(None, srcSystem=sysid, srcComponent=compid)
@@ -77,7 +83,10 @@ class Encoder:
     def status_text(
         self, severity: int, text: str, destination: Hashable, next_stamp: Callable[[], Stamp] | None = None
     ) -> list[bytes]:
-        """Encode a text as one STATUSTEXT (253) or, where it is long, several that belong together, each with its own stamp."""
+        """Encode a text as one STATUSTEXT (253) or, where it is long, as several.
+
+        The frames of a long text belong together by its id. Each has a stamp of its own.
+        """
         data = text.encode("ascii", "replace")
         chunks, text_id = [data], 0
         if len(data) > _STATUSTEXT_BYTES:
@@ -136,8 +145,9 @@ def _wire_message(message: ToVehicle) -> Any:
 
 
 def _gps_input(fix: GpsInput) -> Any:
-    """GPS_INPUT (232). ArduPilot uses an ignored horizontal velocity or altitude as zero, so these are never ignored.
+    """GPS_INPUT (232), always with horizontal velocity and altitude.
 
+    ArduPilot uses an ignored horizontal velocity or altitude as zero, so these are never ignored.
     The vertical velocity always is, also without a fix: fused (EK3_SRC1_VELZ=3), it moves EKF3's height, which comes back as
     the vehicle's, a loop that swung the true altitude by 2 to 4.5 m. ArduPilot's driver never goes back to ignoring it.
     """
@@ -219,7 +229,10 @@ def _global_position_sensor(position: GlobalPositionSensor) -> Any:
 
 
 def _vision_position(position: VisionPosition) -> Any:
-    """VISION_POSITION_ESTIMATE (102). PX4 reads the diagonal of the covariance: north, east and down are elements 0, 6, 11."""
+    """VISION_POSITION_ESTIMATE (102).
+
+    PX4 reads the diagonal of the covariance: north, east and down are elements 0, 6 and 11.
+    """
     numbers = (position.north_m, position.east_m, position.down_m, *position.variance_m2)
     if not all(math.isfinite(number) for number in numbers) or min(position.variance_m2) <= 0.0:
         raise ValueError("VISION_POSITION_ESTIMATE cannot be encoded: a number is not finite, or a variance not above 0")
@@ -230,7 +243,10 @@ def _vision_position(position: VisionPosition) -> Any:
 
 
 def _ranging_beacon(beacon: RangingBeacon) -> Any:
-    """RANGING_BEACON (513), lengths in mm. PX4 takes the altitude for that of its own reference, above mean sea level."""
+    """RANGING_BEACON (513), lengths in mm.
+
+    PX4 reads the altitude against its own reference, which is above mean sea level.
+    """
     _require_position(beacon, "RANGING_BEACON")
     return MAVLink_ranging_beacon_message(
         time_usec=beacon.boot_us,
@@ -252,7 +268,7 @@ def _ranging_beacon(beacon: RangingBeacon) -> Any:
 
 
 def _require_position(position: GpsInput | ExternalPosition | GlobalPositionSensor | RangingBeacon, name: str) -> None:
-    """ValueError where a field of a message with a position is not finite, or its latitude and longitude do not exist."""
+    """Raise ValueError where a field is not finite or the position does not exist."""
     for field in position.__dataclass_fields__:
         if not math.isfinite(getattr(position, field)):
             raise ValueError(f"{name} cannot be encoded: {field} is not finite")

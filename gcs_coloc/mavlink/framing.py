@@ -1,4 +1,7 @@
-"""MAVLink framing: where frames begin among bytes, whether they are valid, whom they address; our dialect and ids."""
+"""MAVLink framing: find and verify the frames in bytes, and read whom they address.
+
+It also has the message definitions of our dialect, and the usual ids of ground stations and of this service.
+"""
 
 from __future__ import annotations
 
@@ -77,7 +80,10 @@ class RawFrame(NamedTuple):
 
 
 def read_frame(data: bytes | mmap, start: int) -> RawFrame | Refusal:
-    """Read the frame that begins at `start`; or why there is none: a Refusal from NO_MAGIC to UNKNOWN_INCOMPAT_FLAGS."""
+    """Read the frame that begins at `start`, or return why there is none.
+
+    The reason is a Refusal from NO_MAGIC to UNKNOWN_INCOMPAT_FLAGS.
+    """
     size = len(data)
     magic = data[start]
     if magic == MAGIC_V2:
@@ -184,7 +190,10 @@ _FIELD_FORMAT = re.compile(r"\d*[a-zA-Z]")
 
 
 def _offsets(message_class: Any) -> tuple[int, int | None] | None:
-    """Where in the payload the target system and component stand, bytes; None where the message has no target."""
+    """Return the offsets of the target system and component in the payload, bytes.
+
+    None where the message has no target, and for the component where it has a target system alone.
+    """
     at, places = 0, {}
     formats = _FIELD_FORMAT.findall(message_class.unpacker.format.lstrip("<"))
     for name, field_format in zip(message_class.ordered_fieldnames, formats, strict=True):

@@ -1,4 +1,7 @@
-"""HEARTBEAT: the autopilot, the class of vehicle by its type, and the name of its flight mode as ground stations show it."""
+"""HEARTBEAT: the autopilot, the vehicle class and the name of the flight mode.
+
+The class is by the type of vehicle. The name is the one that ground stations show.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +49,10 @@ _PLANE_MODES, _COPTER_MODES, _ROVER_MODES = _names("PLANE_MODE"), _names("COPTER
 
 
 def heartbeat(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Heartbeat | None:
-    """HEARTBEAT (0); None where the sender is no autopilot (a ground station, a companion computer, a camera)."""
+    """HEARTBEAT (0); None where the sender is no autopilot.
+
+    Such a sender is a ground station, a companion computer or a camera.
+    """
     custom_mode, vehicle_type, autopilot, base_mode, _system_status, _version = values
     if autopilot == mavlink.MAV_AUTOPILOT_INVALID or vehicle_type in _NO_VEHICLES:
         return None
@@ -63,7 +69,10 @@ def heartbeat(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Hear
 
 
 def ardupilot_mode(vehicle_type: int, custom_mode: int) -> str:
-    """The name of a mode of ArduPilot: PLANE_MODE, ROVER_MODE or COPTER_MODE by MAV_TYPE; the number where it has none."""
+    """Return the name of a flight mode of ArduPilot; the number as text where it has none.
+
+    It is of PLANE_MODE, ROVER_MODE or COPTER_MODE, by MAV_TYPE.
+    """
     modes: Mapping[int, str] = (
         _PLANE_MODES if vehicle_type in _WINGED else _ROVER_MODES if vehicle_type in _ROVERS else _COPTER_MODES
     )
@@ -71,7 +80,7 @@ def ardupilot_mode(vehicle_type: int, custom_mode: int) -> str:
 
 
 def px4_mode(custom_mode: int) -> str:
-    """The name of a mode of PX4; the number where it has none."""
+    """Return the name of a flight mode of PX4; the number as text where it has none."""
     main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
     if not 0 < main < len(_PX4_MODES):
         return str(custom_mode)

@@ -1,4 +1,4 @@
-"""Inbound payloads to the core's messages, one function per MAVLink message.
+"""Convert inbound payloads to the core's messages, one function per MAVLink message.
 
 Every function takes the sender's system id, the arrival time and the payload's values in wire order, and returns the
 message, or None where it holds nothing for the core. InvalidValueError names the field that is impossible.
@@ -142,7 +142,10 @@ def _thousandths(value: int) -> float | None:
 
 
 def gnss_integrity(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> ReceiverIntegrity:
-    """GNSS_INTEGRITY (441). Its authentication state tells no forgery: its one error is that of the receiver's own set-up."""
+    """GNSS_INTEGRITY (441), without its authentication state.
+
+    That state shows no forgery: its one error is that of the receiver's own set-up.
+    """
     _errors, _raim_hfom, _raim_vfom, receiver, _authentication, jamming, spoofing, raim, *_qualities = values
     return ReceiverIntegrity(
         sysid=sysid,
@@ -182,7 +185,10 @@ def ekf_status_report(sysid: int, received_at_s: float, values: tuple[Any, ...])
 
 
 def estimator_status(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> EkfStatus:
-    """ESTIMATOR_STATUS (230), from PX4, which sets CONST_POS_MODE at rest on the ground beside an absolute position."""
+    """ESTIMATOR_STATUS (230), from PX4.
+
+    At rest on the ground PX4 sets CONST_POS_MODE beside an absolute position; it is ignored then.
+    """
     *_, flags = values
     is_absolute = bool(flags & mavlink.ESTIMATOR_POS_HORIZ_ABS)
     return EkfStatus(

@@ -1,4 +1,6 @@
-"""The four messages by which a vehicle may report a range to a vehicle or a station, each converted to a PeerRange.
+"""The four messages that report a range, each converted to a PeerRange.
+
+The range is from a vehicle to another vehicle or to a station.
 
 Every function takes the sender's system id, the arrival time and the payload's values in wire order.
 docs/reference/peer-range.md describes them for senders.
@@ -96,7 +98,10 @@ def _accuracy_m(accuracy_mm: int) -> float | None:
 
 
 def named_value_float(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> PeerRange | None:
-    """NAMED_VALUE_FLOAT (251) named RNG<peer's system id> or STN<station's id>, value in metres; None for any other name."""
+    """NAMED_VALUE_FLOAT (251) named RNG<peer's system id> or STN<station's id>, in metres.
+
+    None for any other name.
+    """
     boot_ms, value, name = values
     peer = _peer_of_name(name, sysid)
     if peer is None:

@@ -1,4 +1,7 @@
-"""Why bytes, frames and messages are refused or lost: the reasons, their counts, and their wording for the operator."""
+"""Refusals of bytes, frames and messages: their reasons, counts and wording.
+
+The wording is for the operator.
+"""
 
 from __future__ import annotations
 
@@ -123,7 +126,10 @@ class Field(StrEnum):
 
 
 class InvalidValue(str):
-    """The reason of a frame with an impossible value, `invalid_value:MESSAGE.field`. There are as many as message and field."""
+    """The reason of a frame with an impossible value, `invalid_value:MESSAGE.field`.
+
+    There are as many reasons as messages and fields.
+    """
 
     __slots__ = ()
 

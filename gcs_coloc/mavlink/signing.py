@@ -36,7 +36,10 @@ _TIME_LENGTH = 6  # bytes. Source: the same: the timestamp has 48 bits
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """The signature's inputs of one frame of ours: key, link number, and a time that no other frame of ours has."""
+    """The inputs of one signature of ours: key, link number and time.
+
+    No other frame of ours has the same time.
+    """
 
     key: bytes = field(repr=False)
     link_id: int
@@ -44,7 +47,7 @@ class Stamp:
 
 
 class Signing:
-    """One secret key, the time of its signatures, and the time of every stream heard that was signed with it.
+    """A secret key, the time of its signatures, and the last stamp of every stream heard.
 
     Our time is the latest of the host's clock, our last stamp and the latest verified stamp. A stream is a system, a component
     and a link number of the sender's. At most `max_streams` are kept. A stream makes room for a new one only when its last
@@ -67,22 +70,32 @@ class Signing:
         return len(self._streams)
 
     def set_clock(self, unix_minus_service_s: float | None) -> None:
-        """Set how far the host's UNIX time is ahead of the service's clock, s; None: the host does not know the time."""
+        """Set how far the host's UNIX time is ahead of the service's clock, s.
+
+        None: the host does not know the time.
+        """
         self._unix_minus_service_s = unix_minus_service_s
 
     def stamp(self, link_id: int, now_s: float) -> Stamp:
-        """The stamp of our next frame on link `link_id` (0 to 255) at service time `now_s`: later than every one before."""
+        """Return the stamp of our next frame on link `link_id` (0 to 255).
+
+        Its time is later than that of every one before. `now_s` is service time.
+        """
         self._latest = max(self._latest + 1, self._now(now_s))
         return Stamp(self._key, link_id, self._latest)
 
     def ahead_s(self, now_s: float) -> float:
-        """How far the time of our signatures is ahead of the host's clock at service time `now_s`, s; 0 where that is unknown."""
+        """Return how far the time of our signatures is ahead of the host's clock, s.
+
+        0 where the host's time is unknown. `now_s` is service time.
+        """
         return 0.0 if self._unix_minus_service_s is None else max(self._latest - self._now(now_s), 0) / TICKS_PER_S
 
     def refusal(self, raw: RawFrame, now_s: float) -> Refusal | None:
-        """Why a signed frame that came at service time `now_s` must not be used (see `Refusal`, under signing, and DUPLICATE).
+        """Return why a signed frame must not be used; None where it may be.
 
-        None: it may be used, and the time of its stream is set to its own.
+        A frame that may be used sets the time of its stream. `now_s` is the service time at which it came.
+        The reasons are those of `Refusal` under signing, and DUPLICATE.
         """
         frame = raw.frame
         signature = hashlib.sha256(self._key + frame[:-_DIGEST_LENGTH]).digest()[:_DIGEST_LENGTH]
@@ -124,14 +137,20 @@ class Signing:
 
 @dataclass(frozen=True, slots=True)
 class LinkSigning:
-    """How one link is signed. `link_id`: its number in our stamps, 0 to 255; `required`: unsigned frames are refused on it."""
+    """How one link is signed.
+
+    `link_id`: its number in our stamps, 0 to 255. `required`: unsigned frames are refused on it.
+    """
 
     signing: Signing
     link_id: int
     required: bool
 
     def refusal(self, raw: RawFrame, now_s: float) -> Refusal | None:
-        """Why a frame that came over this link must not be used: as `Signing.refusal`, or unsigned; None where it may be."""
+        """Return why a frame that came over this link must not be used; None where it may be.
+
+        The reasons are those of `Signing.refusal`, or that the frame is unsigned.
+        """
         if raw.is_signed:
             return self.signing.refusal(raw, now_s)
         if not self.required:
