@@ -26,7 +26,10 @@ def calibrate(
     fleet: FleetOption = None,
     out: Annotated[Path | None, typer.Option(help="Write the configuration into this file instead of printing it.")] = None,
 ) -> None:
-    """Estimate bias and scale of each ranging device while all positions are known; print them as configuration."""
+    """Estimate bias and scale of each ranging device from a flight with all positions known.
+
+    The result is printed as configuration.
+    """
     from gcs_coloc.evaluation.data_checks.recorded_data import recorded_data
     from gcs_coloc.evaluation.dataset import read_dataset
 

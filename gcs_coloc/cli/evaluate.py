@@ -58,7 +58,10 @@ def evaluate(
     scheduler: SchedulerOption = None,
     resume: ResumeOption = None,
 ) -> None:
-    """Run an estimator over data sets, causally, and score it against the truth; of several print one table."""
+    """Run an estimator over data sets, causally, and score it against the truth.
+
+    The scores of several data sets are printed as one table.
+    """
     from gcs_coloc.evaluation.output import plot_evaluation, write_epochs
 
     if plot is not None and len(directories) > 1:
@@ -104,7 +107,7 @@ def evaluate(
 def _evaluate(
     name: str, settings: Mapping[str, Any], task: DataSetTask, progress: EvaluationProgress = lambda _done, _total: None
 ) -> tuple[Evaluation, list[str]]:
-    """Evaluate one data set; the texts are what the estimator failed at."""
+    """Evaluate one data set; the texts say where the estimator failed."""
     faults: list[str] = []
     # As in flight: what it fails at is told and scored as no answer.
     guarded = GuardedEstimator(load_estimator(name, settings), faults.append)

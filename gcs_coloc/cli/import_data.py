@@ -30,7 +30,10 @@ def pyfg(
     ] = 0.5,
     seed: Annotated[int, typer.Option(help="Seed of that noise.")] = 1,
 ) -> None:
-    """Import a range-aided factor graph: vertices are the truth, landmarks the anchors, range edges the ranges."""
+    """Import a range-aided factor graph (PyFG).
+
+    Its vertices are the truth, its landmarks the anchors, its range edges the ranges.
+    """
     from gcs_coloc.evaluation.pyfg import import_pyfg
 
     found = import_pyfg(file, directory, denied or (), peer_sigma, seed)

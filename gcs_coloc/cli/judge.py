@@ -1,4 +1,4 @@
-"""`gcs-coloc judge`: recordings replayed with the present code, and what changed against a stored baseline."""
+"""`gcs-coloc judge`: replay recordings and compare the results with a stored baseline."""
 
 from __future__ import annotations
 
@@ -56,7 +56,10 @@ def judge(
     jobs: JobsOption = 0,
     scheduler: SchedulerOption = None,
 ) -> None:
-    """Replay every recording below directories with the present code, and tell what changed against a stored baseline."""
+    """Replay recordings with the present code and compare the results with a stored baseline.
+
+    Every recording below the directories is replayed. What changed is printed, and whether it is worse.
+    """
     workers = workers_for(jobs, scheduler)
     settings = settings_for(config, fleet, estimator)
     check_output_file(write, "--write-baseline")
@@ -99,7 +102,10 @@ def judge(
 
 
 def _figures_table(flights: Sequence[JudgedFlight]) -> Table:
-    """A row for each vehicle that was without GPS or has alarms; one for the recording where there is none."""
+    """Return a table with a row for each vehicle that was without GPS or has alarms.
+
+    A recording without such a vehicle has one row.
+    """
     table = Table()
     for heading in ("recording", "vehicle", *_HEADINGS, "alarms"):
         table.add_column(heading, justify="left" if heading in ("recording", "alarms") else "right")

@@ -93,7 +93,10 @@ class LogLevel(str, Enum):  # noqa: UP042 - typer shows the values of a str Enum
 
 
 def main() -> None:
-    """Entry point of `gcs-coloc`. A user's mistake ends in one line on stderr and exit code 2 or 1, never in a traceback."""
+    """Run the command line of `gcs-coloc`; the entry point of the program.
+
+    A user's mistake ends in one line on stderr and exit code 2 or 1, never in a traceback.
+    """
     one_thread()
     collect_seldom()
     open_all()
@@ -121,7 +124,10 @@ def main() -> None:
 
 
 def _work(fleet: FleetOf, descriptor: int, level: str, console: SharedConsole) -> None:
-    """Run one fleet as a worker of the supervisor whose socket `descriptor` is; every line of the log begins with its name."""
+    """Run one fleet as a worker of the supervisor whose socket `descriptor` is.
+
+    Every line of its log begins with the fleet's name.
+    """
     from gcs_coloc.service.service import Service
     from gcs_coloc.service.worker import SupervisorLink
     from gcs_coloc.sinks.console import log_to_stderr, log_uncaught

@@ -83,7 +83,10 @@ def plan(
     scheduler: SchedulerOption = None,
     resume: ResumeOption = None,
 ) -> None:
-    """Predict along planned ways where vehicles would have a fix from ranges if their GPS failed, and what limits it."""
+    """Predict where along planned ways vehicles would have a fix from ranges if their GPS failed.
+
+    Where one would have none, the prediction says what limits it.
+    """
     from gcs_coloc.planning import plan_tables
 
     for path, option in ((report, "--report"), (csv, "--csv"), (geojson, "--geojson")):

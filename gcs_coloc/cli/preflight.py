@@ -1,4 +1,4 @@
-"""What is done before a flight (preflight): `gcs-coloc check-config`, `gcs-coloc example-config`, `gcs-coloc doctor`."""
+"""Preflight commands: `gcs-coloc check-config`, `gcs-coloc example-config`, `gcs-coloc doctor`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ from gcs_coloc.runtime.clock import ServiceClock, read_host_clock
 
 
 def check_config(file: Annotated[Path, typer.Argument(help="The configuration file (TOML).", metavar="FILE")]) -> None:
-    """Check a configuration file, fleet by fleet: keys, values, links, estimator, and every file that it names."""
+    """Check a configuration file, fleet by fleet.
+
+    Its keys, values, links and estimator are checked, and every file that it names.
+    """
     from gcs_coloc.service.checks import check_fleets
 
     fleets = load_fleets(file, {})

@@ -1,4 +1,7 @@
-"""`gcs-coloc export` and `gcs-coloc report`: recordings to files; the options and warnings that every command on one has."""
+"""`gcs-coloc export` and `gcs-coloc report`: recordings to files.
+
+It also has the options and warnings of every command that reads a recording.
+"""
 
 from __future__ import annotations
 

@@ -56,7 +56,10 @@ def paper(
     q_form: Annotated[QForm, typer.Option(help="What a step's process noise is.")] = QForm.VELOCITY,
     out: Annotated[Path, typer.Option(help="Directory for table, JSON and figures.")] = Path("out/paper"),
 ) -> None:
-    """Fly Table 1 of Qu & Zhang, run its filters and ours on the same noise, and print Table 2 beside the published figures."""
+    """Fly Table 1 of Qu & Zhang, run its filters and ours, and print Table 2.
+
+    All filters get the same noise. The published figures stand beside ours.
+    """
     from gcs_coloc.study import paper as study
     from gcs_coloc.study import paper_report
 
@@ -130,7 +133,10 @@ def integrity(
     trace: Annotated[Path | None, typer.Option(help="Fly --class at --first-seed alone, and write every sample as CSV.")] = None,
     show_classes: Annotated[bool, typer.Option("--list", help="Print the classes and end.")] = False,
 ) -> None:
-    """Fly random flights of many classes through the engine, and count what may never happen: errors beyond what is stated."""
+    """Fly random flights of many classes and count the errors beyond what is stated.
+
+    Each flight goes through the whole engine. An error beyond what is stated may never happen.
+    """
     from gcs_coloc.study.integrity import trial_report
     from gcs_coloc.study.integrity.flight_classes import CLASSES
     from gcs_coloc.study.integrity.trial import TrialScore, write_trace
@@ -180,7 +186,10 @@ def planning(
     resume: ResumeOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print every window as JSON.")] = False,
 ) -> None:
-    """Check what `gcs-coloc plan` predicts on ten plans of different kind against drawn flights through the whole engine."""
+    """Check the predictions of `gcs-coloc plan` against simulated flights.
+
+    Ten plans of different kind are flown with drawn noise through the whole engine.
+    """
     from gcs_coloc.study.planning.check_plans import CHECK_PLANS
     from gcs_coloc.study.planning.plan_check import PlanCheck, check_table, run_checks
 
@@ -229,7 +238,10 @@ def readiness(
     resume: ResumeOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print every loss as JSON.")] = False,
 ) -> None:
-    """Check readiness: what is told before GPS is taken at a random time, against what the filter states 30 s after."""
+    """Check what readiness says before GPS is lost against the filter's accuracy 30 s after.
+
+    GPS is taken at a random time of each flight.
+    """
     from gcs_coloc.study.readiness_check import CHECKED, check_table, run_checks
 
     names = classes if classes is not None else () if recording else CHECKED

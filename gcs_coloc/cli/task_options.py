@@ -1,4 +1,4 @@
-"""Where a command's tasks run: the options of every command that has tasks."""
+"""Options of every command that has tasks: where they run and where results are kept."""
 
 from __future__ import annotations
 
@@ -21,7 +21,11 @@ ResumeOption = Annotated[
 
 
 def kept_in(directory: Path | None) -> KeptResults | None:
-    """Return where results are kept; None where the option is not used. Raises UsageError: there is no such place."""
+    """Return where results are kept; None where the option is not used.
+
+    Raises:
+        UsageError: the directory cannot be used.
+    """
     return KeptResults(directory) if directory is not None else None
 
 

@@ -33,7 +33,10 @@ def watch(
     no_web: Annotated[bool, typer.Option("--no-web", help="Serve no page; the terminal's table alone.")] = False,
     log_level: Annotated[LogLevel, typer.Option(help="How much is logged.")] = LogLevel.INFO,
 ) -> None:
-    """Show all fleets of all hosts that publish on an MQTT broker, until Ctrl-C. It sends nothing to anybody."""
+    """Show all fleets of all hosts that publish on an MQTT broker, until Ctrl-C.
+
+    It sends nothing to anybody.
+    """
     from gcs_coloc.service.watch import Watch
     from gcs_coloc.sinks.console import SharedConsole, log_to_stderr, own_stream
 
