@@ -32,7 +32,10 @@ _FLAGS_OF_ONE = {
 
 @contextmanager
 def naming(name: str) -> Iterator[None]:
-    """What goes wrong within is of the fleet `name`, and says so; as it is where that is empty."""
+    """Begin the text of every error that is raised within with `fleet NAME`.
+
+    The text stays as it is where `name` is empty.
+    """
     try:
         yield
     except GcsColocError as error:
@@ -53,16 +56,17 @@ class FleetOf:
     flagged: frozenset[str] = frozenset()
 
     def named(self) -> AbstractContextManager[None]:
-        """What goes wrong within is this fleet's, and says so where there are several."""
+        """Begin the text of every error that is raised within with this fleet's name, if it has one."""
         return naming(self.name)
 
 
 def load_fleets(
     path: Path | None, flags: Mapping[str, Any], fleet: str | None = None, *, is_checked: bool = False
 ) -> Sequence[FleetOf]:
-    """The fleets of a configuration, in its order: those of its `[[fleet]]` tables, or the one called `fleet`; else the only one.
+    """Return the fleets of a configuration, in its order.
 
-    `is_checked` where all fleets were right once and `fleet` must start whatever was made of the others' tables since.
+    They are those of its `[[fleet]]` tables, or the one called `fleet`. A configuration without such tables has one fleet.
+    `is_checked`: all fleets were right once, and `fleet` must start whatever was made of the others' tables since.
 
     Raises:
         ConfigError: the file cannot be read, or a key or value is wrong, or two fleets share what each must have for itself.
@@ -92,7 +96,9 @@ def load_fleets(
 
 
 def load_settings(path: Path | None, flags: Mapping[str, Any], fleet: str | None = None) -> Settings:
-    """The settings of one fleet: the one called `fleet` where the configuration is of several, else the only one.
+    """Return the settings of one fleet.
+
+    It is the one called `fleet` where the configuration is of several, else the only one.
 
     Raises:
         ConfigError: as `load_fleets`.

@@ -1,4 +1,4 @@
-"""The sections of the configuration about vehicles, links and estimation: each a table of its own in the file."""
+"""Sections of the configuration about vehicles, links and estimation, one class a table."""
 
 from __future__ import annotations
 
@@ -33,7 +33,10 @@ class GpsHealthConfig(GpsHealthSettings):
 
 @dataclass(frozen=True, config=_STRICT)
 class MeasurementConfig(MeasurementSettings):
-    """`[measurements]`: noise that the wire does not tell (1-sigma per axis), and how old a message may be."""
+    """`[measurements]`: noise of what is measured, and how old a message may be.
+
+    It is the noise that no message states, 1-sigma per axis.
+    """
 
 
 @dataclass(frozen=True, config=_STRICT)
@@ -70,7 +73,10 @@ SigningMode = Literal["require", "accept", "off"]
 
 
 class SigningConfig(Section):
-    """`[signing]`: MAVLink 2 signatures. A key that no link uses, and a link that wants a key where none is set, are errors."""
+    """`[signing]`: MAVLink 2 signatures.
+
+    A key that no link uses is an error, as is a link to be signed where no key is set.
+    """
 
     key_file: str = ""
     """File of the secret key, mode 0600: 64 hexadecimal digits; a passphrase on one line, whose SHA-256 is the key;
@@ -180,7 +186,10 @@ class StationConfig(Section):
 
 
 class EstimatorConfig(Section):
-    """`[estimator]`: which estimator locates the vehicles, with its own settings in `[estimator.settings]`."""
+    """`[estimator]`: which estimator locates the vehicles.
+
+    Its own settings stand in `[estimator.settings]`.
+    """
 
     name: str = "fleet"
     """`fleet`, `qu_zhang`, or a plug-in as `package.module:Class` or `path/to/file.py:Class`."""

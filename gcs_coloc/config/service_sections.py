@@ -1,4 +1,7 @@
-"""The sections of the configuration about the service itself: its page, processes, hot standby, recordings and broker."""
+"""Sections of the configuration about the service itself, one class a table.
+
+They are about its page, processes, hot standby, recordings and broker.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,10 @@ from gcs_coloc.config.sections import Section
 
 
 def page_address(address: str) -> str:
-    """HOST:PORT of a page, from that or a PORT of 127.0.0.1. Raises ValueError where the text is neither."""
+    """Return the HOST:PORT of a page from that, or from a PORT of 127.0.0.1.
+
+    Raises ValueError where the text is neither.
+    """
     full = address if ":" in address else f"127.0.0.1:{address}"
     host, _, port = full.rpartition(":")
     if not host or not port.isascii() or not port.isdigit() or int(port) > 65535:
@@ -65,7 +71,10 @@ class ServiceConfig(Section):
 
 
 def _host_and_port(address: str) -> tuple[str, int]:
-    """The two parts of HOST:PORT, an IPv6 host without its brackets. Raises ValueError where the text is none."""
+    """Return the two parts of HOST:PORT, an IPv6 host without its brackets.
+
+    Raises ValueError where the text is no such address.
+    """
     host, _, port = address.rpartition(":")
     if not host or not port.isascii() or not port.isdigit() or not 1 <= int(port) <= 65535:
         raise ValueError(f"{address} is not HOST:PORT, as 192.168.1.12:14590")
@@ -77,7 +86,10 @@ def _is_loopback(host: str) -> bool:
 
 
 class StandbyConfig(Section):
-    """`[standby]`: hot standby. A second service follows the same vehicles, and takes over where the first one fails."""
+    """`[standby]`: hot standby.
+
+    A second service follows the same vehicles, and takes over where the first one fails.
+    """
 
     peer: str = ""
     """HOST:PORT where the other service listens for our signs of life (UDP). Empty: there is no other service."""

@@ -1,6 +1,7 @@
-"""Configuration: a TOML file, environment variables and command-line flags become frozen settings; unknown keys are refused.
+"""Settings of the service, read from a TOML file, environment variables and flags.
 
 Flags win over the environment (`GCS_COLOC_...`, nested keys joined by two underscores), which wins over the file.
+The settings are frozen. An unknown key is refused.
 """
 
 from __future__ import annotations
@@ -72,7 +73,10 @@ RENAMED: Mapping[str, str] = MappingProxyType(
 
 
 class Settings(BaseSettings):
-    """All that can be set for one fleet. Every key has a default but `links`: a service without a link has nothing to do."""
+    """All that can be set for one fleet.
+
+    Every key has a default but `links`: a service without a link has nothing to do.
+    """
 
     model_config = SettingsConfigDict(extra="forbid", frozen=True, env_prefix=_ENVIRONMENT, env_nested_delimiter=_LEVEL)
 
@@ -124,7 +128,10 @@ class Settings(BaseSettings):
         )
 
     def fingerprint(self) -> str:
-        """A few digits that stand for all that the engine's answers depend on: the estimator, its settings and `engine`."""
+        """Return 16 digits that stand for all that the engine's answers depend on.
+
+        That is the estimator, its settings and `engine`, without the vehicles' names.
+        """
         engine = asdict(self.engine())
         del engine["names"]
         all_of_it = {"estimator": self.estimator.model_dump(), "engine": engine}
@@ -149,7 +156,10 @@ def read_table(path: Path) -> dict[str, Any]:
 
 
 def settings_of(tables: Sequence[Mapping[str, Any]], flags: Mapping[str, Any], source: str) -> Settings:
-    """Settings from the flags, then the environment, then a file's tables, each before the next; `source` is named in errors.
+    """Return the settings of flags, environment and a file's tables.
+
+    Flags win over the environment, and that over the tables, of which an earlier one wins over a later one.
+    `source` names the tables in errors.
 
     Raises:
         ConfigError: a key is unknown, or a value impossible; the text names them.
@@ -199,7 +209,10 @@ def _set_by_flag(setting: tuple[Any, ...], flags: Mapping[str, Any]) -> bool:
 
 
 def _variable_of(error: Any, flags: Mapping[str, Any]) -> str | None:
-    """The environment variable that a setting has its value from, None where it comes from a flag, the file or nowhere."""
+    """Return the environment variable that a setting has its value from.
+
+    None where the value comes from a flag or the file, or where the setting has none.
+    """
     # A section that is checked as a whole names its setting by the first word of the text.
     place = (*error["loc"], *error["msg"].removeprefix(_VALUE_ERROR).split()[:1])
     if _set_by_flag(error["loc"], flags):
@@ -211,7 +224,10 @@ def _variable_of(error: Any, flags: Mapping[str, Any]) -> str | None:
 
 
 def _refuse_unknown_variables() -> None:
-    """pydantic-settings passes over a variable whose section does not exist; a key in one that does is refused with the rest."""
+    """Raise ConfigError for an environment variable of a section that does not exist.
+
+    pydantic-settings ignores such a variable. An unknown key in a section that exists is refused with the rest.
+    """
     for name in sorted(os.environ):
         if not name.upper().startswith(_ENVIRONMENT):
             continue
@@ -238,7 +254,10 @@ def _problem(error: Any) -> str:
 
 
 def _new_name(key: str) -> str | None:
-    """The name since 0.2 of a key that 0.2 refuses, also where its section is renamed already; None where 0.1 had no such key."""
+    """Return the name since 0.2 of a key that 0.2 refuses; None where 0.1 had no such key.
+
+    A key of 0.1 whose section has the new name already is found too.
+    """
     return RENAMED.get(key) or _HALF_RENAMED.get(key)
 
 

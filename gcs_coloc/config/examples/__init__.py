@@ -1,4 +1,7 @@
-"""Example configurations, NAME.toml each: `default` has every setting with its default, `fleets` two fleets in one process."""
+"""Example configurations, NAME.toml each.
+
+`default` has every setting with its default, `fleets` two fleets in one process.
+"""
 
 from pathlib import Path
 
