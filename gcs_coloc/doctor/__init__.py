@@ -1,1 +1,4 @@
-"""The doctor: listens to a fleet, asks it a few questions, and says in words what would stop co-localisation, and the remedy."""
+"""The doctor: checks of a fleet's set-up before a flight, each finding with its remedy.
+
+It listens to the fleet and requests a few parameters. A finding is what would stop co-localisation.
+"""

@@ -25,7 +25,10 @@ _DELAY_MS = 100.0  # measured: with it, and data 0.1 s old, EKF3 does not trail
 
 
 def check(vehicle: VehicleSurvey, setup: Setup, method: AidingMethodName) -> Iterator[Finding]:
-    """Judge the parameters that the vehicle told. Values and meanings: ArduPilot's parameter lists of 4.5 to 4.7."""
+    """Check the parameters that the vehicle sent.
+
+    Values and meanings: ArduPilot's parameter lists of 4.5 to 4.7.
+    """
     yield from _senders(vehicle, setup)
     aid = setup.aiding
     if method == "external_position":

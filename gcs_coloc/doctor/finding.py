@@ -21,7 +21,10 @@ class Severity(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One conclusion of the doctor; `remedy`: what to do; `parameter`: the vehicle's parameter to set, and its value."""
+    """One conclusion of the doctor.
+
+    `remedy`: what to do. `parameter`: the vehicle's parameter to set, and its value.
+    """
 
     severity: Severity
     text: str
@@ -31,7 +34,9 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """Our side: the id we speak under, the settings of aid, and whether nothing is sent while this computer's clock is not
+    """Our own set-up, against which the vehicles are checked.
+
+    `system_id`: the id that we send under. `requires_synchronised_clock`: nothing is sent while this computer's clock is not
     synchronised. `denied`: the vehicles that are to be located; empty: all.
     """
 

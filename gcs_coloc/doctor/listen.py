@@ -1,4 +1,4 @@
-"""The doctor's ears and mouth: opens the links, hands what arrives to the survey, and sends its questions."""
+"""Listening of the doctor: open the links, pass what arrives to the survey, send its requests."""
 
 from __future__ import annotations
 
@@ -28,7 +28,9 @@ _HEARTBEAT_EVERY_S = 1.0  # source: MAVLink's heartbeat protocol
 async def listen(
     settings: Settings, seconds: float, clock: ServiceClock, host: ClockReference, opened: Callable[[], None]
 ) -> FleetSurvey:
-    """Listen on the links of `settings` for so long, asking on the way; `opened` is called once they are open.
+    """Listen on the links of `settings` for `seconds`, and send the survey's requests meanwhile.
+
+    `opened` is called once the links are open.
 
     Raises:
         LinkError: a link cannot be opened.

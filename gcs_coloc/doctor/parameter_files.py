@@ -67,14 +67,17 @@ def _files(vehicle: VehicleSurvey, changes: Mapping[str, tuple[float, str]]) -> 
 
 
 def _mission_planner_lines(vehicle: VehicleSurvey, changes: Mapping[str, tuple[float, str]]) -> Iterator[str]:
-    """Mission Planner's and MAVProxy's format: NAME,VALUE."""
+    """Yield the lines of Mission Planner's and MAVProxy's format: NAME,VALUE."""
     yield f"# gcs-coloc doctor: vehicle {vehicle.sysid}, {vehicle.autopilot.value}\n"
     for name, (value, why) in changes.items():
         yield f"# {why}\n{name},{value:.9g}\n"
 
 
 def _qgroundcontrol_lines(vehicle: VehicleSurvey, changes: Mapping[str, tuple[float, str]]) -> Iterator[str]:
-    """QGroundControl's format (developer guide, Parameters File Format): tabs between five fields, the last MAV_PARAM_TYPE."""
+    """Yield the lines of QGroundControl's format: five fields with tabs between.
+
+    The last field is the MAV_PARAM_TYPE. Source: QGroundControl's developer guide, Parameters File Format.
+    """
     yield f"# Onboard parameters for Vehicle {vehicle.sysid}\n#\n"
     for why in (why for _, why in changes.values()):
         yield f"# {why}\n"

@@ -1,4 +1,7 @@
-"""Which parameters the doctor wants to know, under all the names that they have had, and which to ask for next."""
+"""Parameters that the doctor reads: their names, in which order to request them, and rules.
+
+A parameter has all the names that it has had.
+"""
 
 from __future__ import annotations
 

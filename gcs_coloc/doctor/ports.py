@@ -57,14 +57,20 @@ class SerialPort:
 
 @dataclass(frozen=True, slots=True)
 class Instance:
-    """PX4's MAVLink instance `number`, which is on; `telem` is the number of its TELEM port, where it is on one."""
+    """PX4's MAVLink instance `number`, which is on.
+
+    `telem` is the number of its TELEM port; None where it is on another port.
+    """
 
     number: int
     telem: int | None
 
     @property
     def rate_name(self) -> str:
-        """The parameter with the most that it sends, bytes per second; 0 is half of what its baud rate carries."""
+        """The name of the parameter with the most that it sends, bytes per second.
+
+        Its value 0 is half of what the port's baud rate carries.
+        """
         return f"MAV_{self.number}_RATE"
 
     @property

@@ -17,7 +17,10 @@ _OWN_GPS, _VISION, _FIRST_SLOT, _RANGING_BEACON = 0, 3, 4, 12  # source: PX4's p
 
 
 def check(vehicle: VehicleSurvey, method: AidingMethodName) -> Iterator[Finding]:
-    """Judge the parameters that the vehicle told. Values and meanings: PX4's parameter reference, EKF2."""
+    """Check the parameters that the vehicle sent.
+
+    Values and meanings: PX4's parameter reference, EKF2.
+    """
     yield from apply_rules(vehicle.parameters, (_fuses(_OWN_GPS, "its own GPS"),))
     if method == "ranging_beacon":
         yield from apply_rules(vehicle.parameters, _RANGING_RULES)
@@ -33,7 +36,10 @@ def check(vehicle: VehicleSurvey, method: AidingMethodName) -> Iterator[Finding]
 
 
 def _auxiliary_position(vehicle: VehicleSurvey) -> Iterator[Finding]:
-    """Judge the slots of EKF2's auxiliary global position: one is to have our id and be on, read at its start alone."""
+    """Check the slots of EKF2's auxiliary global position.
+
+    One is to have our id and be on. EKF2 reads the id at its start alone.
+    """
     told = vehicle.parameters
     ids = {slot: told[name] for slot in AGP_SLOTS if (name := AGP_ID.format(slot)) in told}
     controls = {slot: int(told.get(AGP_CONTROL.format(slot), 0.0)) for slot in AGP_SLOTS}

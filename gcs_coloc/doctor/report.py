@@ -1,4 +1,4 @@
-"""What the doctor says, as text for the operator and as JSON for programs."""
+"""Report of the doctor, as text for the operator and as JSON for programs."""
 
 from __future__ import annotations
 
@@ -100,7 +100,10 @@ _HARMFUL = {
 
 
 def of_vehicle(vehicle: VehicleSurvey, setup: Setup, fleet: frozenset[int]) -> list[Finding]:
-    """Everything that is to be said of one vehicle; `fleet` are the nodes that are heard, or whose position is known."""
+    """Return all findings on one vehicle.
+
+    `fleet` are the nodes that are heard, or whose position is known.
+    """
     findings = [*_identity(vehicle)]
     if not setup.denied or vehicle.sysid in setup.denied:
         findings += [*_address(vehicle, setup), *_autopilot(vehicle, setup), *_ranges(vehicle, fleet), *_readiness(vehicle)]
@@ -110,7 +113,7 @@ def of_vehicle(vehicle: VehicleSurvey, setup: Setup, fleet: frozenset[int]) -> l
 
 
 def of_fleet(survey: FleetSurvey, setup: Setup) -> list[Finding]:
-    """Everything that is to be said of the fleet as a whole."""
+    """Return all findings on the fleet as a whole."""
     return [*_number(survey), *_denied(survey, setup), *_refused(survey), *_host(survey, setup)]
 
 
@@ -198,7 +201,10 @@ def _ranges(vehicle: VehicleSurvey, fleet: frozenset[int]) -> Iterator[Finding]:
 
 
 def _readiness(vehicle: VehicleSurvey) -> Iterator[Finding]:
-    """What the engine of the flight makes of its ranges; without any, or of its set-up, the other checks tell."""
+    """Yield the finding on the readiness that the engine computes from the vehicle's ranges.
+
+    There is none without ranges, or where the set-up prevents aiding: the other checks report that.
+    """
     found = vehicle.readiness
     if found is None or not found.peers or found.reason == LimitingReason.NOT_AIDED.code:
         return

@@ -1,4 +1,7 @@
-"""Finding out about a fleet, sans-IO: datagrams in, questions out, what was found at the end. Time is passed in."""
+"""Survey of a fleet, sans-IO: datagrams in, requests out, and a summary at the end.
+
+Time is passed in.
+"""
 
 from __future__ import annotations
 
@@ -87,9 +90,10 @@ class _Vehicle:
 
 
 class Survey:
-    """A look at a fleet from `start_s` on, for `seconds`. The rates are counted in its second half, when requests have told.
+    """A survey of a fleet from `start_s` on, for `seconds`.
 
-    `engine` is that of the flight; it hears all and sends nothing. Its readiness of each vehicle is what is wanted of it.
+    The rates are counted in its second half, when stream requests have taken effect.
+    `engine` is that of the flight; it receives all messages and sends nothing. Its readiness of each vehicle is what is used.
     """
 
     def __init__(
