@@ -1,4 +1,4 @@
-"""One fleet's alarms in the service: kept up to date, and told to observers, recording and ground tools."""
+"""One fleet's alarms in the service: kept up to date and passed on."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from gcs_coloc.sinks.event_bus import EventBus
 
 
 class AlarmDesk:
-    """Keeps the list of alarms. What changes in it goes to `events` and `record`, and to ground tools if these are to be told."""
+    """Keeps the list of alarms and passes on what changes in it.
+
+    A change goes to `events` and `record`, and to the ground tools where `tells_ground_tools` is set.
+    """
 
     def __init__(
         self, clock: ServiceClock, events: EventBus, record: Callable[[Alarm], None], *, tells_ground_tools: bool

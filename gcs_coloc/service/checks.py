@@ -1,4 +1,7 @@
-"""What can be wrong with a configuration besides its keys and values: links, estimators, and the files that it names."""
+"""Checks of a configuration beyond its keys and values.
+
+They concern links, estimators, and the files that it names.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ from gcs_coloc.web.tiles import TileFile
 
 
 def check_fleets(path: Path | None, fleets: Iterable[FleetOf]) -> None:
-    """Check each fleet of the configuration `path`, and open every file that it names; nothing is kept open.
+    """Check each fleet of the configuration file `path`, and read every file that it names.
 
     Raises:
         GcsColocError: something is wrong; the text names the fleet, the setting and the remedy.

@@ -1,4 +1,7 @@
-"""The links of one fleet with all that stands at them: routes, signatures, receiver, sender and the ground tools' forwarder."""
+"""The links of one fleet, with the parts that work on them.
+
+These are routes, signatures, receiver, sender, and the forwarder to the ground tools.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +49,10 @@ class FleetLinks:
     """All links of one fleet. None is open before `open`."""
 
     def __init__(self, settings: Settings, clock: ServiceClock, utc_minus_service_s: float | None, hooks: LinkHooks) -> None:
-        """Build all that stands at the links. `utc_minus_service_s`: the host's UTC, None where it does not know it."""
+        """Build the links and all parts that work on them.
+
+        `utc_minus_service_s`: the host's UTC minus service time, s; None where the host does not know UTC.
+        """
         own, senders = (settings.mavlink.system_id, settings.mavlink.component_id), settings.senders
         check_outs(settings.out, settings.links)
         self._routes = RouteTable(rebind_after_s=senders.rebind_after_s, companions_elsewhere=senders.companions_elsewhere)
@@ -86,7 +92,10 @@ class FleetLinks:
         return [*self.receiver.refusals, self._routes.counts, self.sender.counts, *at_links, *self.forwarder.refusals]
 
     async def open(self) -> None:
-        """Open the ground tools' links, then the vehicles', one after the other. LinkError where one cannot be opened."""
+        """Open the ground tools' links, then the vehicles', one after the other.
+
+        LinkError where one cannot be opened.
+        """
         await self.forwarder.open()  # first, so that what is received can be forwarded
         for link, opening in zip(self._links, self._openings, strict=True):
             await link.open()
@@ -115,7 +124,10 @@ class FleetLinks:
         )
 
     def pending_warnings(self, now_s: float) -> Iterator[tuple[int | None, str]]:
-        """Return what signatures, routes and ground tools have to warn of, with the vehicle's system id where it is of one."""
+        """Yield the pending warnings of signatures, routes and ground tools.
+
+        Each has the system id of the vehicle that it concerns; None where it concerns none.
+        """
         ahead = self.signed.pending_warning(now_s)
         if ahead is not None:
             yield None, ahead

@@ -1,4 +1,7 @@
-"""One fleet's straight path: links, receiver, engine, sender, links; with its recording, observers and ground tools."""
+"""One fleet's service: its path from the links through the engine and back to the links.
+
+Its recording, observers and ground tools are attached to that path.
+"""
 
 from __future__ import annotations
 
@@ -56,8 +59,9 @@ _Control = ClockReference | OperatorCommand | PeerRange | ForeignGpsInput | Hold
 
 
 class FleetService:
-    """One fleet on its links. Every call returns at once; the caller calls `each_second` and the `publish_` methods.
+    """One fleet on its links.
 
+    Every call returns at once; the caller calls `each_second` and the `publish_` methods.
     `events` passes on what happens, `alarms` is what is wrong, `snapshots` how the fleet stands, `idle` when observers have time,
     `counts` what the observers refuse. `truths` is where a simulation says that vehicles truly are, by system id: for display
     only, the engine never gets it.
@@ -66,7 +70,10 @@ class FleetService:
     def __init__(
         self, settings: Settings, clock: ServiceClock, host: ClockReference, flagged: frozenset[str] = frozenset()
     ) -> None:
-        """Build everything; no link is open yet. `host` is the host's time now, `flagged` the keys of `[fleet]` set by flags."""
+        """Build everything; no link is open yet.
+
+        `host` is the host's time now, `flagged` the keys of `[fleet]` set by flags.
+        """
         self.events = EventBus()
         self.idle = IdleScheduler()
         self.counts = Counts()
@@ -128,7 +135,10 @@ class FleetService:
     # From the beginning to the end
 
     async def open(self) -> None:
-        """Open the links, one after the other, then the recording. LinkError, RecordError where one cannot be opened."""
+        """Open the links, one after the other, then the recording.
+
+        LinkError, RecordError where one cannot be opened.
+        """
         await self._links.open()
         if self._standby is not None:
             await self._standby.open()
@@ -206,7 +216,10 @@ class FleetService:
             self._wake()
 
     def _read_waiting(self) -> None:
-        """Read what waits at all links, to receive it in the order in which it came: no link's datagrams are taken for late."""
+        """Read what waits at all links into the backlog.
+
+        It can then be received in the order in which it came, so that no link's datagrams are taken for late.
+        """
         self._is_reading = True
         try:
             self._links.receive_waiting()
@@ -214,7 +227,10 @@ class FleetService:
             self._is_reading = False
 
     def _receive_some(self) -> None:
-        """Receive the backlog, or its oldest part: the timer goes on with the rest, and the event loop runs before."""
+        """Receive the backlog, or its oldest part.
+
+        The timer goes on with the rest, so that the event loop runs before.
+        """
         now_s = self._clock()
         if self._backlog:
             self._add_lag(now_s - self._backlog.oldest_s)
@@ -247,7 +263,7 @@ class FleetService:
             self._recording.record_side_channel(late)
 
     def _wake(self) -> None:
-        """Make sure that the rest of the backlog is received, or that the engine is polled at its next deadline."""
+        """Set the timer for the rest of the backlog or, without one, for the engine's next deadline."""
         self._deadline.by(self._backlog.oldest_s if self._backlog else self._engine.next_deadline())
 
     def _poll(self) -> None:
@@ -261,7 +277,10 @@ class FleetService:
             self._wake()
 
     def _advance(self, to_s: float) -> None:
-        """Run the engine's deadlines before `to_s`, before it gets anything that arrived then, and emit its outputs."""
+        """Run the engine's deadlines before `to_s` and emit its outputs.
+
+        This comes before the engine gets what arrived at `to_s`.
+        """
         self._engine_at_s = to_s
         if self._engine.next_deadline() >= to_s:
             return
@@ -305,7 +324,10 @@ class FleetService:
 
     @property
     def order_standby(self) -> Callable[[StandbyOrder], str | None] | None:
-        """Carries out an operator's order on the hot standby, and says why not where it does not; None where there is none."""
+        """The function that carries out an operator's order on the hot standby.
+
+        It returns why the order is not carried out, None where it is. None where there is no hot standby.
+        """
         return self._standby.order if self._standby is not None else None
 
     def add_range(self, message: PeerRange) -> None:
@@ -313,7 +335,11 @@ class FleetService:
         self._apply(message)
 
     def each_second(self, host: ClockReference) -> None:
-        """Set the host's time, publish pending warnings, send our heartbeat, and tell the ground tools of alarms."""
+        """Do what is due each second, with the host's time.
+
+        The time goes to signatures and engine. Pending warnings are published, our heartbeat is sent, and the ground tools are
+        sent the alarms.
+        """
         self._links.signed.set_clock(host.utc_minus_service_s)
         self._host, self._lag_s = replace(host, lag_s=round(self._lag_s, 3)), 0.0
         self._apply(self._host)

@@ -1,4 +1,4 @@
-"""Hot standby in the service: the state machine on its link, tied to the engine, the vehicles' frames and the operator."""
+"""Hot standby in the service: connects its state machine with link, engine and operator."""
 
 from __future__ import annotations
 
@@ -56,8 +56,9 @@ _LEVELS = {StandbyReason.TOOK_OVER: "error", StandbyReason.OTHER_FEEDS: "warning
 
 
 class HotStandby:
-    """One of two services, this one. `apply` gives the engine what it must know, `publish` tells the operator.
+    """Our own service's part of a hot standby.
 
+    `apply` passes a message to the engine, `publish` a notice to the operator.
     `is_behind`: whether the service is too busy to send what it should. It then gives no sign of life: the other one takes over.
 
     Raises:
@@ -131,7 +132,10 @@ class HotStandby:
         return self._peer.may_send(sysid, self._clock())
 
     def is_other_service(self, sysid: int, compid: int) -> bool:
-        """Return whether a system and component id are those of the other service, or may be until it was heard."""
+        """Return whether a sender is the other service, by system and component id.
+
+        True also where it may be, as long as the other service was not heard.
+        """
         return self._peer.may_be_other(Identity(sysid, compid))
 
     def watch(self, received: ReceivedDatagram, at_s: float) -> None:
@@ -148,7 +152,10 @@ class HotStandby:
             watch.add_passed_on(sysid, at_s)
 
     def tell_after_sending(self) -> None:
-        """Send the next sign of life together with what was sent to vehicles: it is silent from then on if it dies."""
+        """Send the next sign of life together with what was sent to vehicles, if it is due soon.
+
+        A service that dies is then silent from its last output on.
+        """
         if self._peer.state is StandbyState.ACTIVE and self._peer.sign_is_due(self._clock() + TICK_S):
             self._send_sign()
 

@@ -1,4 +1,7 @@
-"""The composition root of a replay on the page: a recording, the pass that computes its pictures, and the page's server."""
+"""Replay of a recording on the page: its composition root.
+
+It connects the recording, the pass that computes the page's pictures, and the page's server.
+"""
 
 from __future__ import annotations
 

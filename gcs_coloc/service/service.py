@@ -144,8 +144,9 @@ class _Observed:
         return WorkerReport(page=self._page, overview=overview)
 
     def start(self, group: asyncio.TaskGroup, phase: float, *, on_terminal: bool) -> list[asyncio.Task[None]]:
-        """Start the flight's tasks, the periodic ones at `phase` (0 to 1) of their periods; returns those to cancel.
+        """Start the flight's tasks and return those to cancel.
 
+        The periodic ones begin at `phase` (0 to 1) of their periods.
         Snapshots are made as often as an observer shows them: seldom where there is neither a page nor a live table.
         """
         watched_s = _SAMPLE_EVERY_S if self._fleet.settings.web.on else console_sink.PLAIN_EVERY_S
@@ -158,7 +159,9 @@ class _Observed:
         return [group.create_task(self._every(period_s, phase, act)) for period_s, act in periodic]
 
     async def start_observers(self, group: asyncio.TaskGroup) -> None:
-        """Start page and broker. What is not needed for the first message is imported one by one, and vehicles heard between.
+        """Start page and broker.
+
+        What the first message does not need is imported only here, package by package: vehicles are heard between.
 
         Raises:
             WebError: the page's address was asked for and cannot be had.

@@ -1,4 +1,7 @@
-"""Snapshots of one fleet for its observers, who share one where they need it within a moment of each other."""
+"""Cache of one fleet's snapshots, for its observers.
+
+Observers share a snapshot where they need it within a moment of each other.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The supervisor: each fleet in a worker process of its own, and one page and one address of metrics for all of them.
+"""The supervisor: runs each fleet in a worker process of its own.
+
+One page and one address of metrics serve all fleets.
 
 Workers share nothing. One that dies is started again; one that hangs or dies changes nothing for the others. A worker whose
 supervisor has gone ends in order, so that no vehicle is ever fed by a worker of an earlier supervisor.

@@ -47,8 +47,9 @@ class ReceivedDatagram:
 
 
 class Receiver:
-    """Receives one fleet's datagrams. `own` is our system and component id, `bytes_per_s` what each source may send.
+    """Receives one fleet's datagrams.
 
+    `own` is our system and component id, `bytes_per_s` what each source may send.
     `is_other_service`: whether a system and component id are those of a hot standby's other service, whose GPS_INPUT is no
     rival's; None without one.
     """
@@ -87,7 +88,10 @@ class Receiver:
         return self._rate_limiter.admits((link, address), size, now_s)
 
     def receive(self, payload: bytes, link: Link, address: Address, now_s: float) -> ReceivedDatagram:
-        """Decode an admitted datagram that arrived at service time `now_s` (s), and learn from it where vehicles are."""
+        """Decode an admitted datagram and learn from it where vehicles are.
+
+        `now_s` is the service time at which it arrived.
+        """
         received = ReceivedDatagram()
         for frame in self._decoder.decode(payload, now_s, (link, address), self._signed.of(link.name), received.frames):
             if isinstance(frame.message, ForeignGpsInput):
@@ -158,7 +162,10 @@ class Sender:
         self._may_send = may_send
 
     def send(self, output: ToVehicle) -> None:
-        """Send one output to its vehicle, unless that cannot be reached, or others at its address would take it as theirs."""
+        """Send one output to its vehicle, where that can be reached.
+
+        An output without a target is not sent where other vehicles share the address: they would use it too.
+        """
         # Looked up for every message: an address that came to be shared a moment ago must get nothing.
         route = self._routes.route(output.sysid, self._clock())
         if isinstance(route, Blocked):
@@ -213,7 +220,10 @@ class Backlog:
         self._waiting.append((at_s, receive))
 
     def receive_some(self, clock: Clock) -> None:
-        """Receive the oldest for a while, and where some were left the last time as many as came since: it does not grow."""
+        """Receive the oldest of what waits, for `_AT_ONCE_S` at least.
+
+        Where some were left the last time, as many are received as came since, so that the backlog does not grow.
+        """
         waiting, self._waiting = sorted(self._waiting, key=itemgetter(0)), []
         least = len(waiting) - self._rest if self._rest else 0
         ends_s = clock() + _AT_ONCE_S

@@ -1,4 +1,7 @@
-"""`gcs-coloc watch`: all fleets of all hosts from one MQTT broker, on one page and on the terminal. It reaches no vehicle."""
+"""`gcs-coloc watch`: all fleets of all hosts from one MQTT broker, on page and terminal.
+
+It reaches no vehicle.
+"""
 
 from __future__ import annotations
 
@@ -79,7 +82,10 @@ class Watch:
             await asyncio.sleep(_TABLE_EVERY_S)
 
     def _log_changes(self) -> None:
-        """One line for a fleet that is heard for the first time, falls silent or comes back, or whose light changes."""
+        """Log one line for each fleet whose presence or light has changed.
+
+        A fleet that is heard for the first time counts as changed.
+        """
         for fleet in self._watch.shown():
             state = fleet.presence, fleet.light
             if self._logged.get((fleet.source, fleet.host)) != state:

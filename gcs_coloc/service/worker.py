@@ -30,7 +30,10 @@ _STEADY_S = 30.0
 
 
 class WorkerReport(BaseModel):
-    """A line from worker to supervisor: the address of the fleet's own page, None where it has none, and how the fleet stands."""
+    """A line from worker to supervisor: how the fleet stands.
+
+    `page` is the address of the fleet's own page, None where it has none.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     page: str | None
@@ -38,7 +41,10 @@ class WorkerReport(BaseModel):
 
 
 class SupervisorLink:
-    """The worker's end. `descriptor` is of a socket that the supervisor made, and that closes when the supervisor dies."""
+    """The worker's end of the connection to its supervisor.
+
+    `descriptor` is of a socket that the supervisor made, and that closes when the supervisor dies.
+    """
 
     def __init__(self, descriptor: int) -> None:
         """UsageError where it is no socket."""
@@ -58,7 +64,10 @@ class SupervisorLink:
             pass
 
     async def send_reports(self, report: Callable[[], WorkerReport], slots: AsyncIterator[None]) -> None:
-        """Send a report in each slot; one that the supervisor is too slow for is left out, and nothing ever waits for it."""
+        """Send a report in each slot.
+
+        A report is left out while the supervisor has not received the one before. Nothing ever waits for it.
+        """
         async for _ in slots:
             writer = self._writer
             if writer is not None and not writer.is_closing() and not writer.transport.get_write_buffer_size():
@@ -140,7 +149,10 @@ class Worker:
                 self._process.send_signal(sign)
 
     async def _run_once(self) -> str:
-        """Start the process and wait until it has ended; returns in words how it did. OSError where it cannot be started."""
+        """Start the process, wait until it has ended, and return in words how it did.
+
+        OSError where it cannot be started.
+        """
         ours, theirs = socket.socketpair()
         with ours:
             with theirs:
