@@ -25,10 +25,10 @@ _EARLIEST_PLAUSIBLE_UNIX_S = 1_704_067_200.0
 
 
 class ServiceClock:
-    """UNIX seconds as the host had them at the start, counted on by the monotonic clock in whole microseconds.
+    """The service's clock: UNIX seconds at the start, counted on by the monotonic clock.
 
-    It is never stepped. A reading is microseconds divided by a million, as a tlog's reader does: the engine gets the same
-    numbers, to the last bit, in flight and in replay.
+    It counts whole microseconds and is never stepped. A reading is microseconds divided by a million, as a tlog's reader does:
+    the engine gets the same numbers, to the last bit, in flight and in replay.
     """
 
     def __init__(self) -> None:
@@ -46,8 +46,9 @@ class ServiceClock:
 
 
 def arrival_time(clock: Callable[[], float], received_unix_ns: int, not_before_s: float) -> float:
-    """When the system received what is read from it now, by the service's `clock`, s; the system stamped it in UNIX time, ns.
+    """Return when the system received what is read from it now, service time, s.
 
+    `received_unix_ns` is the system's own stamp, UNIX time in ns; `clock` is the service's.
     A host clock that is stepped meanwhile cannot move it before `not_before_s`, when nothing waited, or into the future.
     """
     for _ in range(_MOST_READINGS):
@@ -60,15 +61,18 @@ def arrival_time(clock: Callable[[], float], received_unix_ns: int, not_before_s
 
 
 def read_host_clock(now_s: float) -> ClockReference:
-    """How far the host's UNIX time is ahead of the service's at service time `now_s`, and whether it is kept right."""
+    """Return how far the host's UNIX time is ahead of service time `now_s`.
+
+    The result also has whether the host's clock is synchronised.
+    """
     unix_s = time.time()
     return ClockReference(now_s, unix_s - now_s if unix_s >= _EARLIEST_PLAUSIBLE_UNIX_S else None, is_synchronised())
 
 
 def is_synchronised() -> bool | None:
-    """Whether something (NTP, PTP, a GPS receiver) keeps the host's clock right; None where that is unknown.
+    """Whether the host's clock is synchronised, as by NTP, PTP or a GPS receiver.
 
-    Source: adjtimex(2), which returns TIME_ERROR while the clock is not synchronised.
+    None where that is unknown. Source: adjtimex(2), which returns TIME_ERROR while the clock is not synchronised.
     """
     try:
         adjtimex = ctypes.CDLL(None).adjtimex
@@ -79,9 +83,10 @@ def is_synchronised() -> bool | None:
 
 
 class Timer:
-    """Calls `passed` on the running event loop when the service's clock has passed the earliest requested time.
+    """Calls `passed` once the service's clock has passed the earliest requested time.
 
-    It fires once and forgets the later times. `at_s` is when it will fire next (service time), infinity where it will not.
+    It runs on the event loop, fires once and forgets the later times.
+    `at_s` is when it will fire next (service time), infinity where it will not.
     """
 
     def __init__(self, clock: ServiceClock, passed: Callable[[], None]) -> None:

@@ -1,4 +1,7 @@
-"""A Dask cluster that does tasks: its scheduler at an address, workers with the same program; the extra `cluster`."""
+"""A Dask cluster that runs tasks; it needs the extra `cluster`.
+
+Its scheduler is at an address, and its workers have the same program as this process.
+"""
 
 from __future__ import annotations
 

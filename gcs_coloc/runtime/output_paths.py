@@ -1,4 +1,7 @@
-"""Where results are to be written, checked before the work: a wrong path is told at once and not after minutes."""
+"""Checks of the output paths of results, made before the work.
+
+A wrong path is then reported at once and not after minutes.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The process: its standard streams, its secret files, the threads of its linear algebra, its garbage collection."""
+"""The process: standard streams, secret files, threads of linear algebra, garbage collection."""
 
 from __future__ import annotations
 
@@ -50,8 +50,9 @@ def discard_output() -> None:
 
 
 def one_thread() -> None:
-    """Limit linear algebra to one thread, in this process and its children. Called before anything imports numpy, which reads it.
+    """Limit linear algebra to one thread, in this process and its children.
 
+    Call it before anything imports numpy, which reads the limit.
     For the filter's matrices of some 100 rows, several threads are slower than one, and on a busy machine they need many times
     the CPU. Variables that the user has set stay.
     """
@@ -70,12 +71,17 @@ def collect_seldom() -> None:
 
 
 def exclude_start() -> None:
-    """Exclude all objects of a service's start from garbage collection for ever; what is garbage by then stays."""
+    """Exclude all objects that exist by now from garbage collection.
+
+    It is called at the end of a service's start. What is garbage by then is never freed.
+    """
     gc.freeze()
 
 
 def read_private_file(path: Path, what: str, setting: str = "") -> bytes:
-    """Read a secret from a file that its owner alone can use; `what` it is and the `setting` that names it stand in errors.
+    """Read a secret from a file that its owner alone can use.
+
+    `what` it is and the `setting` that names it stand in errors.
 
     Raises:
         ConfigError: the file cannot be read, or can be used by others than its owner.

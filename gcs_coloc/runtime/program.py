@@ -54,7 +54,10 @@ def source_of(package: str) -> Iterator[bytes]:
 
 @cache
 def program_versions() -> dict[str, str]:
-    """Return what computes here, by name: gcs-coloc, its source's digest, Python, and the packages that do the arithmetic."""
+    """Return the versions of what computes here, by name.
+
+    These are gcs-coloc, its source's digest, Python, and the packages that do the arithmetic.
+    """
     return {
         "gcs-coloc": gcs_coloc.__version__,
         "source": program_digest(),

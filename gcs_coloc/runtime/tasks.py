@@ -1,4 +1,6 @@
-"""Tasks on several cores or on a Dask cluster, with progress; the results are the same wherever they are computed.
+"""Tasks on several cores or on a Dask cluster, with progress.
+
+The results are the same wherever they are computed.
 
 A task is a picklable function with a picklable argument, is seeded where it draws noise, and can be done again: a worker that
 dies loses nothing, as its task is given to another one. Results may be kept, a file for each in a directory, so that a run that
@@ -43,7 +45,10 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Workers:
-    """Where tasks run: in `jobs` processes of this machine (1: in this one), or on the cluster of a Dask scheduler."""
+    """Where tasks run: in processes of this machine, or on a Dask cluster.
+
+    `jobs` is how many processes; 1: this one. `scheduler` is the address of the cluster's scheduler; None: this machine.
+    """
 
     jobs: int = 1
     scheduler: str | None = None
@@ -72,7 +77,9 @@ def run_tasks(
     progress: Progress,
     kept: KeptResults | None = None,
 ) -> list[Result]:
-    """Return the function's results in the order of the tasks; what is kept is not computed again, and what is not is kept.
+    """Return the function's results in the order of the tasks.
+
+    With `kept`, a result that is kept is not computed again, and a new one is kept.
 
     Raises:
         ClusterError: the cluster cannot be used.
@@ -97,7 +104,9 @@ def run_tasks(
 
 
 def iterate_tasks(function: Callable[[Task], Result], tasks: Iterable[Task], workers: Workers) -> Iterator[Result]:
-    """Yield the function's results as they are ready, in any order; whoever stops reading starts no further tasks.
+    """Yield the function's results as they are ready, in any order.
+
+    No further task starts once the caller stops reading.
 
     Raises:
         ClusterError: the cluster cannot be used.
@@ -108,7 +117,10 @@ def iterate_tasks(function: Callable[[Task], Result], tasks: Iterable[Task], wor
 
 
 def _completed(function: Callable[[Task], Result], tasks: Iterable[Task], workers: Workers) -> Iterator[tuple[int, Result]]:
-    """Yield results with the place of their task as they are ready. The first task is drawn when the pool is there."""
+    """Yield results with the place of their task as they are ready.
+
+    The first task is drawn when the pool is there.
+    """
     if workers.scheduler is None and workers.jobs <= 1:
         for place, task in enumerate(tasks):
             yield place, function(task)
@@ -159,9 +171,9 @@ def _open(workers: Workers) -> AbstractContextManager[Pool]:
 
 
 def _begin_worker() -> None:
-    """Let this process end as soon as the program that started it has: a task may go on for minutes, and nobody wants it.
+    """Initialise a worker process: it ends as soon as the program that started it has ended.
 
-    Its garbage collection is that of the program.
+    Its task may go on for minutes, and nobody wants it then. Its garbage collection is that of the program.
     """
     collect_seldom()
     program = multiprocessing.parent_process()
@@ -203,7 +215,10 @@ class _Processes:
 
 
 class KeptResults:
-    """Results by what was computed: program, function and task. Another program or task finds nothing of these."""
+    """Results in a directory, each under what was computed: program, function and task.
+
+    Another program or task finds nothing of these.
+    """
 
     def __init__(self, directory: Path) -> None:
         """Make the directory where there is none.
