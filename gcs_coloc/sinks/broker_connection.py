@@ -1,4 +1,7 @@
-"""A connection to an MQTT broker that is made again whenever it is lost, with the user and the certificates of the settings."""
+"""A connection to an MQTT broker that is made again whenever it is lost.
+
+The settings have its user and its certificates.
+"""
 
 from __future__ import annotations
 
@@ -30,10 +33,15 @@ _client_log.setLevel(logging.CRITICAL)
 
 
 class BrokerConnection:
-    """One connection after the other to one broker, until `stopping` is set. What a broker does never raises from `keep`."""
+    """Keeps a connection to one broker until `stopping` is set.
+
+    A connection that is lost is followed by a new one. What a broker does never raises from `keep`.
+    """
 
     def __init__(self, config: MqttConfig, stopping: asyncio.Event, meanwhile: str) -> None:
-        """Read the password and the certificates; `meanwhile` says in a warning what goes on without the broker.
+        """Read the password and the certificates.
+
+        `meanwhile` says in a warning what goes on without the broker.
 
         Raises:
             ConfigError: a file cannot be read, or holds no certificates.
@@ -49,7 +57,10 @@ class BrokerConnection:
         self._warned_of: str | None = None
 
     def client(self, *, most_incoming: int, name: str | None = None, will: Will | None = None) -> Client:
-        """The client of one connection. A broker ends an older one of the same name; without a name it is nobody else's."""
+        """Return the client of one connection.
+
+        A broker ends an older connection with the same `name`. Without one, the name is drawn for each connection.
+        """
         return Client(
             self._config.host,
             self._config.port,

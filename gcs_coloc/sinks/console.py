@@ -1,5 +1,6 @@
-"""The operator's console: a live table on a terminal, plain log lines elsewhere; both written by threads of their own.
+"""The operator's console: a live table on a terminal, plain log lines elsewhere.
 
+Both are written by threads of their own.
 A terminal that is stopped (Ctrl-S), or a full or closed pipe, must delay neither the service nor its end.
 """
 
@@ -38,7 +39,10 @@ _LAST_LINES_S = 2.0
 
 
 async def show(events: Mapping[str, Subscription], console: SharedConsole) -> None:
-    """Show the events of each fleet, by its name, for ever: live tables where `console` is a terminal, else log lines."""
+    """Show the events of each fleet, by its name, for ever.
+
+    They are shown as live tables where `console` is a terminal, else as log lines.
+    """
     async with asyncio.TaskGroup() as group:
         if not console.is_terminal:
             for name, subscription in events.items():
@@ -148,7 +152,10 @@ class LiveTable:
 
 
 def log_to_stderr(level: str, console: SharedConsole, whose: str = "") -> None:
-    """Write the log to stderr from now on, above the table where `console` is a terminal; each line begins with `whose` it is."""
+    """Write the log to stderr from now on.
+
+    Where `console` is a terminal, the log stands above the table. Elsewhere each line has the name of its fleet, `whose`.
+    """
     handler: logging.Handler
     if console.is_terminal:
         from rich.logging import RichHandler
@@ -162,7 +169,10 @@ def log_to_stderr(level: str, console: SharedConsole, whose: str = "") -> None:
 
 
 def log_uncaught() -> None:
-    """Log warnings of Python and faults that nobody catches, which otherwise go to stderr without a word on whose they are."""
+    """Log Python's warnings and uncaught faults.
+
+    Otherwise they go to stderr as lines that do not begin with the fleet's name.
+    """
     logging.captureWarnings(True)
     sys.excepthook = lambda *fault: log.critical("a fault of the program", exc_info=fault)
     threading.excepthook = lambda fault: log.critical(
@@ -183,7 +193,10 @@ class _NamedLines(logging.Formatter):
 
 
 class LineHandler(logging.Handler):
-    """Writes each record as a line. It is not flushed as the program ends, as a StreamHandler is: that could wait for ever."""
+    """Writes each record as a line.
+
+    It is not flushed as the program ends, as a StreamHandler is: that could wait for ever.
+    """
 
     def __init__(self, stream: TextIO) -> None:
         super().__init__()
@@ -207,8 +220,9 @@ def own_stream(stream: TextIO) -> TextIO:
 
 
 class LogWriter(QueueHandler):
-    """Passes records to `handler` on a thread. While that hangs, `most` records wait; the newest beyond them are lost.
+    """Passes log records to `handler` on a thread of its own.
 
+    While that hangs, `most` records wait; the newest beyond them are lost.
     A pipe that nobody reads is full after 64 kB (pipe(7)); from then on every write to it hangs.
     """
 
@@ -243,7 +257,10 @@ class LogWriter(QueueHandler):
 
 class _Listener(QueueListener):
     def handle(self, record: logging.LogRecord) -> None:
-        """Write one record. Without the handler's lock, which the logging module waits for as the program ends."""
+        """Write one record without the handler's lock.
+
+        The logging module waits for that lock as the program ends.
+        """
         for handler in self.handlers:
             with contextlib.suppress(OSError, ValueError):
                 handler.emit(record)

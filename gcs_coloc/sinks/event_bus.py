@@ -1,7 +1,7 @@
-"""The event bus between the engine and its observers, and the slots of idle time in which observers work.
+"""The event bus between the engine and its observers, and the observers' idle-time slots.
 
-Each observer has a bounded queue and loses its own oldest events. Slots come right after the outputs of a deadline were sent,
-as far from the next deadline as possible.
+Each observer has a bounded queue and loses its own oldest events. Observers work in slots of idle time, which come right
+after the outputs of a deadline were sent, as far from the next deadline as possible.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""One fleet in one message, as a page of all fleets shows it: how each vehicle stands, and the alarms in the list."""
+"""One fleet in one message: how each vehicle stands, and the alarms in the list.
+
+A page of all fleets shows it.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,10 @@ class _Told(BaseModel):
 
 
 class VehicleOverview(_Told):
-    """One vehicle: its traffic light with the reason, and its position as far as it is known (degrees, metres, WGS 84)."""
+    """One vehicle: its traffic light with the reason, and its position.
+
+    The position is in degrees and metres (WGS 84), None as far as it is not known.
+    """
 
     sysid: int
     name: str

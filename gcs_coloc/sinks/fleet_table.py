@@ -1,4 +1,7 @@
-"""The fleet as a table on a terminal: one line a vehicle, the most serious first; below, the reasons of those that need one."""
+"""The fleet as a table on a terminal: one line a vehicle, the most serious first.
+
+The reasons of the vehicles that need one stand below it.
+"""
 
 from __future__ import annotations
 
@@ -75,7 +78,10 @@ def vehicle_line(v: VehicleSnapshot) -> str:
 
 
 def _fleet(snapshot: FleetSnapshot, name: str, console: Console, width: int, height: int) -> list[RenderableType]:
-    """The lines of one fleet, `height` of them at most where the most serious vehicles and their reasons leave room for them."""
+    """Return the lines of one fleet, `height` of them at most.
+
+    They are more where the most serious vehicles and the lines below the table need them.
+    """
 
     def lines(text: str) -> int:
         return len(Text(text).wrap(console, width))

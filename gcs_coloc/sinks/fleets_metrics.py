@@ -1,4 +1,7 @@
-"""All fleets as Prometheus metrics, for the page that shows all of them; and the metrics of several processes as one page."""
+"""All fleets as Prometheus metrics, for the page that shows all of them.
+
+The metrics of several processes are merged here too.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +61,10 @@ def fleets_registry(
 
 
 class MergedMetrics(Collector):
-    """Metric families of several processes, those of the same name as one. `parts` are each one's labels and families."""
+    """Metric families of several processes; those of the same name are merged.
+
+    `parts` has the labels and the families of each process.
+    """
 
     def __init__(self, parts: Iterable[tuple[Mapping[str, str], Iterable[Metric]]]) -> None:
         self._families: dict[str, Metric] = {}
@@ -82,7 +88,10 @@ def read_metrics(text: str) -> list[Metric]:
 
 
 def worker_metrics(is_heard: Mapping[str, bool], starts: Mapping[str, int]) -> list[Metric]:
-    """Of the worker processes themselves, by fleet: whether each runs and is heard, and how often it was started."""
+    """Return the metrics of the worker processes themselves, by fleet.
+
+    They are whether each runs and is heard, and how often it was started.
+    """
     up = GaugeMetricFamily("gcs_coloc_worker_up", "1 while the fleet's process runs and is heard.", labels=["fleet"])
     for fleet, heard in is_heard.items():
         up.add_metric([fleet], float(heard))

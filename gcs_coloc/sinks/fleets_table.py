@@ -1,4 +1,7 @@
-"""All fleets as a table on a terminal: one line a fleet, the most serious first, and below it the vehicles that need a person."""
+"""All fleets as a table on a terminal: one line a fleet, the most serious first.
+
+The vehicles of a fleet that need a person stand below its line.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,10 @@ _NAME_WIDTH = 18
 
 
 class FleetsTable:
-    """All fleets within the height of the terminal; what has no room is counted. `problem` stands above them."""
+    """All fleets within the height of the terminal.
+
+    Lines for which there is no room are counted. `problem` stands above the table.
+    """
 
     def __init__(self, fleets: Iterable[FleetShown], problem: str | None) -> None:
         self._fleets = tuple(fleets)

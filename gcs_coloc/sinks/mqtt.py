@@ -1,4 +1,7 @@
-"""The fleet on an MQTT broker: each vehicle's latest retained, alarms, a last will. A broker never delays the flight."""
+"""The fleet on an MQTT broker: each vehicle's latest state, the alarms, and a last will.
+
+The states are retained messages. A broker never delays the flight.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,10 @@ _BATCH = 16
 
 
 class Mqtt:
-    """One connection to one broker, made again for as long as the service runs. `run` never raises for what a broker does."""
+    """Publishes the fleet on one broker and receives from it.
+
+    The connection is made again for as long as the service runs. `run` never raises for what a broker does.
+    """
 
     def __init__(self, config: MqttConfig, hooks: MqttHooks, events: Subscription, counts: Counts, idle: IdleScheduler) -> None:
         """Read the password and the certificates. It publishes in `idle`.
@@ -59,7 +65,10 @@ class Mqtt:
         self._stopping.set()
 
     async def run(self) -> None:
-        """Keep the broker up to date until `stop`; a fault in here is logged and the flight goes on without it."""
+        """Keep the broker up to date until `stop`.
+
+        A fault in here is logged, and the flight goes on without it.
+        """
         follower = asyncio.create_task(self._follow())
         connection = asyncio.create_task(self._connection.keep(self._session))
         try:
@@ -111,8 +120,9 @@ class Mqtt:
             self._inbox.receive(message.topic.value, payload, retained=message.retain)
 
     async def _publish_all(self, client: Client) -> None:
-        """Publish the latest of everything at `publish_hz`, until `stop`. What the broker does not take in time is never sent.
+        """Publish the latest of everything at `publish_hz`, until `stop`.
 
+        What the broker does not accept in time is never sent.
         It does not rely on being cancelled alone: before Python 3.12 `asyncio.wait_for`, in the client's `publish`, loses a
         cancellation that comes together with the broker's confirmation.
         """

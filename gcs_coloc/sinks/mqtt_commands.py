@@ -1,4 +1,7 @@
-"""The MQTT messages that are received, as models; docs/reference/mqtt.md describes every topic and field."""
+"""MQTT commands and ranges, the messages that are received, as models.
+
+docs/reference/mqtt.md describes every topic and field.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,10 @@ _UNIX_FROM_S, _UNIX_TO_S = UNIX_TIME_FROM_US / 1e6, UNIX_TIME_TO_US / 1e6
 
 
 class Command(BaseModel):
-    """`…/{sysid}/cmd`: the operator overrides the GPS state of a vehicle, its aiding, or its GPS_PRIMARY: one of them."""
+    """`…/{sysid}/cmd`: one override of the operator for a vehicle.
+
+    It is of the vehicle's GPS state, of its aiding, or of its GPS_PRIMARY.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     gps: GpsOverride | None = None
@@ -45,9 +51,9 @@ class StandbyCommand(BaseModel):
 
 
 class Range(BaseModel):
-    """`…/{sysid}/range`: a range that this vehicle measured to a vehicle (`peer`) or a station, at `unix_s` or `boot_s`.
+    """`…/{sysid}/range`: a range that this vehicle measured to a vehicle (`peer`) or a station.
 
-    Without both times it was measured on arrival.
+    It was measured at `unix_s` or `boot_s`; without both, on arrival.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)

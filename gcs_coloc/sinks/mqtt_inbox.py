@@ -1,4 +1,7 @@
-"""Commands and ranges that come in over MQTT, each only where the settings allow it. Refusals are counted by reason."""
+"""Inbox of commands and ranges over MQTT, each only where the settings allow it.
+
+Refusals are counted by reason.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
-"""The MQTT messages that are published, as models, and the topics of all; docs/reference/mqtt.md describes every topic and field.
+"""The MQTT messages that are published, as models, and the topics of all messages.
 
+docs/reference/mqtt.md describes every topic and field.
 `python -m gcs_coloc.sinks.mqtt_models` prints their JSON schemas, which stand in docs/reference/schemas/mqtt-v2.json.
 """
 
@@ -51,7 +52,10 @@ class VehicleState(_Sent):
 
 
 class VehicleEstimate(_Sent):
-    """`…/{sysid}/estimate`: the service's estimate of the vehicle's position; None, with the reason, where there is none."""
+    """`…/{sysid}/estimate`: the service's estimate of the vehicle's position.
+
+    Where there is none, the position is None and `no_estimate_reason` says why.
+    """
 
     sysid: int
     lat_deg: float | None
@@ -71,7 +75,10 @@ class VehicleEstimate(_Sent):
 
 
 class VehicleHealth(_Sent):
-    """`…/{sysid}/health`: the state of the vehicle's GPS as the service sees it, and the operator's overrides."""
+    """`…/{sysid}/health`: the state of the vehicle's GPS, and the operator's overrides.
+
+    The state is the one that the service has decided on.
+    """
 
     sysid: int
     gps_state: str
@@ -85,7 +92,10 @@ class VehicleHealth(_Sent):
 
 
 class ReadinessTold(_Sent):
-    """`…/{sysid}/readiness`: whether the vehicle would be located if its GPS failed now; `state` None while it is not healthy."""
+    """`…/{sysid}/readiness`: whether the vehicle would be located if its GPS failed now.
+
+    `state` is None while its GPS is not healthy.
+    """
 
     sysid: int
     state: ReadinessState | None
@@ -102,7 +112,10 @@ class ReadinessTold(_Sent):
 
 
 class StationState(_Sent):
-    """`…/station/{id}`: a fixed station: where it is, whether its ranges are used, and what contradicts its position."""
+    """`…/station/{id}`: a fixed station.
+
+    It has where the station is, whether its ranges are used, and what contradicts its position.
+    """
 
     station_id: int
     name: str
@@ -118,7 +131,10 @@ class StationState(_Sent):
 
 
 class GroundTools(BaseModel):
-    """The ground tools behind one connection string of `out`: how many now; frames and refusals since the start."""
+    """The ground tools behind one connection string of `out`.
+
+    `tools` is how many there are now. Frames and refusals are counted since the start.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     name: str
@@ -145,7 +161,10 @@ class StandbyStatus(BaseModel):
 
 
 class FleetStatus(_Sent):
-    """`…/status`: whether the service is connected. The broker sets `online` to false (the last will) when it is lost."""
+    """`…/status`: whether the service is connected.
+
+    The broker sets `online` to false (the last will) when the connection is lost.
+    """
 
     online: bool
     estimator: str | None
@@ -214,7 +233,10 @@ def of_alarm(alarm: Alarm, snapshot: FleetSnapshot) -> AlarmChange:
 
 
 def status(snapshot: FleetSnapshot | None, *, online: bool) -> FleetStatus:
-    """The fleet's status; `snapshot` is None before the first one, and for the last will, which has no time."""
+    """Return the fleet's status.
+
+    `snapshot` is None before the first one, and for the last will, which has no time.
+    """
     if snapshot is None:
         return FleetStatus(at_unix_s=None, online=online, estimator=None, vehicles=(), refused={}, outs=())
     vehicles = tuple(v.sysid for v in snapshot.vehicles)

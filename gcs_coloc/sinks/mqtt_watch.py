@@ -1,4 +1,7 @@
-"""Watches all fleets on an MQTT broker: takes what their services publish of them, and publishes nothing."""
+"""Watches all fleets on an MQTT broker by what their services publish.
+
+It publishes nothing itself.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +58,10 @@ class _Status(BaseModel):
 
 
 class MqttWatch:
-    """Keeps `WatchedFleets` up to date from one broker for as long as `run` runs. `clock` is any that is not stepped, s."""
+    """Keeps `WatchedFleets` up to date from one broker, as long as `run` runs.
+
+    `clock` is any that is not stepped, s.
+    """
 
     def __init__(self, config: MqttConfig, clock: Callable[[], float], unix_clock: Callable[[], float] = time.time) -> None:
         """Read the password and the certificates.

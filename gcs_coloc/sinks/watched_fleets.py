@@ -1,4 +1,6 @@
-"""All fleets of all hosts, each as it was last told: which of them are live, which silent. It does no IO; time is passed in.
+"""All fleets of all hosts, each by its last message: which are live, which silent.
+
+It does no IO; time is passed in.
 
 Where the fleets' states come from is not known here: a broker, or worker processes on this computer.
 """
@@ -59,8 +61,10 @@ class _Shown(BaseModel):
 
 
 class FleetShown(_Shown):
-    """One fleet. `age_s` is since it was last heard, None where there was no sign of life; `light` is the worst of its vehicles'
-    and unknown unless it is live. `written_unix_s` is when its state was true, by its own host's clock. `page` is the address of
+    """One fleet as a page or table shows it.
+
+    `age_s` is since it was last heard, None where there was no sign of life. `light` is the worst of its vehicles', unknown
+    unless the fleet is live. `written_unix_s` is when its state was true, by its own host's clock. `page` is the address of
     its own page, None where that is not known.
     """
 
@@ -116,8 +120,9 @@ class WatchedFleets:
         self._sources: dict[str, _Source] = {}
 
     def receive(self, source: str, name: str, overview: FleetOverview, now_s: float, now_unix_s: float) -> bool:
-        """Take the state of fleet `name`; `source` is where it is told and no other fleet is. False where there are too many.
+        """Add a message with the state of fleet `name`; return False where there are too many.
 
+        `source` is where the messages of this fleet alone come from.
         A message that was received before is no sign of life: a broker hands on what it has kept.
         """
         place = self._place(source, name)
