@@ -1,1 +1,4 @@
-"""The operator's live page: one small server inside the service, bound to loopback unless configured otherwise."""
+"""The operator's live page: a small server inside the service.
+
+It is bound to loopback unless configured otherwise.
+"""

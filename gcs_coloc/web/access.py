@@ -1,4 +1,7 @@
-"""Access to the server: the Host and Origin of a request, the operator's token, and the headers of every answer."""
+"""Access to the server: which requests are refused, and the operator's token.
+
+It also adds the security headers of every answer.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +27,9 @@ _HEADERS = {
 
 
 class Guard:
-    """ASGI middleware: refuses requests under a foreign name or from a foreign page, and adds the security headers.
+    """ASGI middleware that refuses requests under a foreign name or from a foreign page.
 
+    It also adds the security headers.
     A name that is neither an IP address, localhost nor in `allowed_hosts` is refused: a foreign site could otherwise point
     its own name at this machine and read along in the operator's browser.
     """
@@ -80,7 +84,10 @@ class Guard:
 
 
 def bears_token(headers: Headers, token: str | None) -> bool:
-    """Whether a request carries the operator's token as `Authorization: Bearer TOKEN`; never where none is set."""
+    """Whether a request has the operator's token as `Authorization: Bearer TOKEN`.
+
+    Always False where `token` is None.
+    """
     if token is None:
         return False
     scheme, _, given = headers.get("authorization", "").partition(" ")

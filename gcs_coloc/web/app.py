@@ -1,4 +1,4 @@
-"""The ASGI app: routes of the page and its files, one WebSocket, the operator's commands, metrics and health."""
+"""The ASGI app of the page: its files and WebSocket, operator's commands, metrics, health."""
 
 from __future__ import annotations
 
@@ -152,7 +152,10 @@ class _Site:
         return JSONResponse({"order": order.value})
 
     async def acknowledge(self, request: Request) -> Response:
-        """A person knows of an alarm. No token: it reaches no aircraft, and an alarm whose condition holds stays in the list."""
+        """Acknowledge an alarm.
+
+        It needs no token: it reaches no aircraft, and an alarm whose condition holds stays in the list.
+        """
         assert self._hooks is not None
         alarm_id = request.path_params["alarm_id"]
         if not self._hooks.acknowledge(alarm_id):
@@ -160,7 +163,10 @@ class _Site:
         return JSONResponse({"id": alarm_id})
 
     async def play(self, request: Request) -> Response:
-        """Play, pause, seek, speed of a replay; answers with its state. No token: a replay reaches no aircraft."""
+        """Play, pause, seek or change the speed of a replay; answer with its state.
+
+        It needs no token: a replay reaches no aircraft.
+        """
         assert self._playback is not None
         body = await _body(request)
         if body is None:
@@ -178,7 +184,10 @@ class _Site:
         return Response(self._playback.state.model_dump_json(), media_type="application/json")
 
     def tile(self, request: Request) -> Response:
-        """One tile of the map; 204 where there is none. No coroutine, for it reads a file: it runs in a thread."""
+        """One tile of the map; 204 where there is none.
+
+        It is no coroutine, because it reads a file: it runs in a thread.
+        """
         assert self._tiles is not None
         data = self._tiles.tile(*(request.path_params[key] for key in ("zoom", "x", "y")))
         if data is None:
@@ -233,7 +242,10 @@ def make_app(
     allowed_hosts: Collection[str],
     lifespan: Callable[[Starlette], AbstractAsyncContextManager[None]],
 ) -> Starlette:
-    """The application of a live service or a replay; `token` None makes it read-only, `tiles` None leaves the map without."""
+    """Make the application of a live service or a replay.
+
+    `token` None makes it read-only. `tiles` None leaves the map without tiles.
+    """
     if isinstance(source, Playback):
         site = _Site(None, source, pages, token, tiles)
         own = [Route("/api/playback", site.play, methods=["POST"])]

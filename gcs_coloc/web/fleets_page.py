@@ -1,4 +1,7 @@
-"""The page of all fleets: what it is sent, and the application that serves it. It shows and commands nothing."""
+"""The page of all fleets: the messages to it, and the application that serves it.
+
+The page shows the fleets and has no commands.
+"""
 
 from __future__ import annotations
 

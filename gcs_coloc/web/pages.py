@@ -1,4 +1,7 @@
-"""The open pages: each gets the latest picture as soon as it has shown the one before, and every event once."""
+"""The open pages, each of which is sent the latest picture and every event once.
+
+A page gets the next picture as soon as it has shown the one before.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,10 @@ class PageSource(Protocol):
 
     @property
     def instance(self) -> str:
-        """Changes where a page must forget everything it was sent: another run, or an earlier position of a replay."""
+        """An id that changes where a page must forget everything it was sent.
+
+        It changes with another run, or where a replay goes back to an earlier position.
+        """
         ...
 
     @property
@@ -72,7 +78,10 @@ class Page:
         self._wake = asyncio.Event()
 
     def offer(self, instance: str, picture: list[str]) -> None:
-        """Have the newest picture and new events sent; the picture takes the place of one that is not sent yet."""
+        """Have the newest picture and new events sent.
+
+        The picture replaces one that is not sent yet.
+        """
         if picture and self.visible:
             self.skipped += self._picture is not None
             self._picture = instance, picture
@@ -115,7 +124,10 @@ class Page:
 
 
 class Pages:
-    """All open pages. The source is asked for a picture only while a page is in sight, and once for all pages."""
+    """All open pages.
+
+    The source is asked for a picture only while a page is in sight, and once for all pages.
+    """
 
     def __init__(self, source: PageSource, idle: IdleScheduler, period_s: float) -> None:
         """Offer a picture every `period_s`, in idle time."""
@@ -148,7 +160,10 @@ class Pages:
                 await self.offer_picture()
 
     async def offer_picture(self) -> None:
-        """Offer one picture to every page, to a few at a time: what arrives meanwhile does not wait for all of them."""
+        """Offer one picture to every page, to a few pages at a time.
+
+        Between them the event loop runs, so that what arrives meanwhile does not wait for all pages.
+        """
         picture: list[str] = []
         if any(page.visible for page in self._open):
             self._turn += 1

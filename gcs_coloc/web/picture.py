@@ -1,4 +1,7 @@
-"""The picture that the page draws of a fleet's snapshot: traffic lights with their reasons, ellipses, true positions."""
+"""The picture of a fleet's snapshot, as the page draws it.
+
+It adds traffic lights with their reasons, ellipses and true positions.
+"""
 
 from __future__ import annotations
 
@@ -92,7 +95,10 @@ def ellipse(covariance_h_m2: tuple[float, float, float]) -> Ellipse:
 
 
 def _true_positions(fleet: FleetSnapshot, truths: Iterable[HeardTruth]) -> dict[int, Vector3]:
-    """East, north, up in m of the true positions that are fresh. They come without a height and get the estimate's."""
+    """Return the true positions that are fresh as east, north, up in m, by system id.
+
+    They come without a height and get the estimate's.
+    """
     fresh = [t for t in truths if abs(fleet.at_s - t.at_s) <= _TRUTH_FRESH_S]
     if fleet.origin is None or not fresh:
         return {}

@@ -1,4 +1,7 @@
-"""What one pass through a recording has computed for the page, by time: pictures on disk, events and samples in memory."""
+"""Store of the pictures of a recording, which one pass computes for the page.
+
+They are looked up by time. The pictures are on disk; events and samples are in memory.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +48,10 @@ _COMPRESSION_LEVEL = 1
 
 
 class _PictureFile:
-    """A file without a name in the directory for temporary files. It is closed with the last reference to it."""
+    """A file without a name in the directory for temporary files.
+
+    It is closed with the last reference to it.
+    """
 
     def __init__(self) -> None:
         self._file = tempfile.TemporaryFile(prefix="gcs-coloc-replay-", buffering=0)  # noqa: SIM115, it lives as long as this object
@@ -69,7 +75,10 @@ class _PictureFile:
 
 
 class StoredPicture(NamedTuple):
-    """Where one picture is kept, and what goes with it: the number of the newest event, and UTC minus the service's clock."""
+    """Where one picture is kept, and what goes with it.
+
+    `newest_event` is the number of the newest event then. `utc_minus_service_s` is UTC minus the service's clock.
+    """
 
     at_s: float
     newest_event: int
@@ -85,8 +94,9 @@ class StoredPicture(NamedTuple):
 
 
 class PictureStore:
-    """Pictures, events and track samples of a recording from `first_s` to `last_s` (UNIX s), looked up by time.
+    """Pictures, events and track samples of a recording, looked up by time.
 
+    `first_s` and `last_s` are the beginning and end of the recording (UNIX s).
     One thread adds, another reads. The disk file has no name and goes with the process.
     """
 
@@ -161,7 +171,10 @@ class PictureStore:
             return self._pictures[max(i - 1, 0)] if self._pictures else None
 
     def events(self, after: int, until: int) -> EventsFrame:
-        """The events with numbers above `after` up to `until`, the last 500 of them, and how many are left out."""
+        """Return the events with numbers above `after` up to `until`, the last 500 of them.
+
+        The result also has how many are left out.
+        """
         with self._lock:
             oldest = self._newest_event - len(self._events) + 1
             start = max(after + 1, until - EVENTS_KEPT + 1, oldest)
@@ -181,7 +194,10 @@ class PictureStore:
         return tuple(columns(sysid, rows) for sysid, rows in found.items() if rows)
 
     def _thin_pictures(self) -> None:
-        """Keep every second picture, in a new file; whoever still holds an old picture reads it from the old file."""
+        """Keep every second picture, in a new file.
+
+        A reader that still holds an old picture reads it from the old file.
+        """
         file = _PictureFile()
         kept = [one._replace(file=file, offset=file.append(one.file.read(one.offset, one.length))) for one in self._pictures[::2]]
         with self._lock:

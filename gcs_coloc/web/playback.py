@@ -1,4 +1,7 @@
-"""A recorded flight on the page: one pass computes every picture, and a playback looks at them. Seeking is an index lookup."""
+"""Playback of a recorded flight on the page: it looks up pictures by their time.
+
+One pass through the recording computes all pictures.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,10 @@ class Playback:
     """
 
     def __init__(self, store: PictureStore, speed: float, clock: Callable[[], float] = time.monotonic) -> None:
-        """`speed` in recorded seconds a second, infinity for as fast as the pass; `clock` is any steady clock, seconds."""
+        """Start to play from the beginning of the recording.
+
+        `speed` is in recorded seconds a second; infinity is as fast as the pass. `clock` is any steady clock, seconds.
+        """
         self.instance = secrets.token_hex(8)
         self.edition = 0
         self._store = store
@@ -144,13 +150,19 @@ class Playback:
         return self._playing, self._goal_s is not None
 
     def _redraw_after(self, before: tuple[bool, bool]) -> None:
-        """Have the pages draw the tracks anew where a movement has ended, of which they saw only a few pictures."""
+        """Have the pages draw the tracks anew where a movement has ended.
+
+        The pages saw only a few pictures of it.
+        """
         if any(was and not still for was, still in zip(before, self._is_moving, strict=True)):
             self.edition += 1
 
 
 class ReplayPass:
-    """Replays a recording once and fills a `PictureStore`. `run` is for a thread of its own; `stop` ends it early."""
+    """Replays a recording once and fills a `PictureStore`.
+
+    `run` is for a thread of its own; `stop` ends it early.
+    """
 
     def __init__(
         self, make_replay: Callable[[OnPoll], Replay], truths_at: Callable[[float], dict[int, HeardTruth]], store: PictureStore

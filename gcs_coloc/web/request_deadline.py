@@ -1,5 +1,6 @@
-"""The deadline of a request: a connection that never finishes one is closed, and no host can hold all connections by them.
+"""The deadline of a connection's first request: it is closed where the header does not arrive.
 
+No host can hold all connections by half-open ones.
 uvicorn has a limit of connections and none of the time that a request takes to arrive. This stands before its protocol and
 knows the bytes alone: until the first request's header is whole, the connection is half-open.
 """

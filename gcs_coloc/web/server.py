@@ -1,4 +1,7 @@
-"""The page's server: its socket, its token, its beginning and its end. Its failure never ends a flight."""
+"""The page's server: its socket, its token, its beginning and its end.
+
+Its failure never ends a flight.
+"""
 
 from __future__ import annotations
 
@@ -167,7 +170,10 @@ class WebServer:
         yield
 
     def _restore_signal_handlers(self) -> None:
-        """Give the signals back to the service, which has last messages to send: uvicorn takes them as it starts to serve."""
+        """Give the signals back to the service, which has last messages to send.
+
+        uvicorn takes them as it starts to serve.
+        """
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
 

@@ -1,4 +1,7 @@
-"""Raster tiles under the map, from one PMTiles file on this machine. Format: PMTiles version 3, protomaps/PMTiles spec."""
+"""Raster tiles under the map, from one PMTiles file on this machine.
+
+Format: PMTiles version 3, protomaps/PMTiles spec.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +45,10 @@ _MEDIA_TYPES = {
 
 
 class TileFile:
-    """One archive of pictures. `tile` may be called from any thread; `media_type` is of every tile, `info` for the page."""
+    """One archive of map tiles.
+
+    `tile` may be called from any thread. `media_type` is of every tile, `info` is for the page.
+    """
 
     def __init__(self, path: Path) -> None:
         """Open the archive and read what it holds.
@@ -76,7 +82,10 @@ class TileFile:
         )
 
     def tile(self, zoom: int, x: int, y: int) -> bytes | None:
-        """One tile of the usual scheme (web Mercator, y from north); None where there is none, or the file is damaged there."""
+        """Return one tile of the usual scheme (web Mercator, y from north).
+
+        None where there is none, or the file is damaged there.
+        """
         if not 0 <= zoom <= 30 or not (0 <= x < 1 << zoom and 0 <= y < 1 << zoom):
             return None
         tile_id = zxy_to_tileid(zoom, x, y)

@@ -1,4 +1,7 @@
-"""What a page that opens late is sent: the last minutes of each vehicle, the events, and the rates of the links."""
+"""Track history for a page that opens late: the last minutes of each vehicle.
+
+It also has the latest events and the rates of the links.
+"""
 
 from __future__ import annotations
 

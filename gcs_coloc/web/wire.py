@@ -30,7 +30,10 @@ class _Wire(BaseModel):
 # Not frozen, as `VehicleSnapshot` is not: they are built many times a second and sent at once.
 @dataclass(slots=True)
 class Ellipse:
-    """The 2-sigma ellipse of a horizontal position; `angle_rad` of its longer axis from east, counter-clockwise."""
+    """The 2-sigma ellipse of a horizontal position.
+
+    `angle_rad` is that of its longer axis from east, counter-clockwise.
+    """
 
     semi_major_m: float
     semi_minor_m: float
@@ -52,7 +55,10 @@ class VehicleFrame:
 
 
 class LinkFrame(_Wire):
-    """Frames of one vehicle: totals since the start, and rate and loss over the last seconds (None until known)."""
+    """Frames of one vehicle: totals since the start, and rate and loss over the last seconds.
+
+    Rate and loss are None until known.
+    """
 
     sysid: int
     received: int
@@ -63,7 +69,11 @@ class LinkFrame(_Wire):
 
 
 class OutFrame(_Wire):
-    """The ground tools behind one connection string: how many now, totals, and frames handed on a second (None until known)."""
+    """The ground tools behind one connection string.
+
+    `tools` is how many there are now. Frames and refusals are totals since the start.
+    `rate_hz` is how many frames a second are sent to them, None until known.
+    """
 
     name: str
     tools: int
@@ -94,7 +104,10 @@ class PlaybackState(_Wire):
 
 
 class PlaybackCommand(_Wire):
-    """A page's command to a replay; a field left out changes nothing. `halt` pauses and gives up a position that is sought."""
+    """A page's command to a replay; a field left out changes nothing.
+
+    `halt` pauses and gives up a position that is sought.
+    """
 
     halt: Literal[True] | None = None
     playing: bool | None = None
@@ -127,7 +140,10 @@ def fleet_json(frame: FleetFrame) -> bytes:
 
 
 class CountsFrame(_Wire):
-    """The counters, sent once a second: links, ground tools, refused messages, measurements by what the estimator did."""
+    """The counters, sent about once a second.
+
+    They are of links, ground tools, refused messages, and measurements by what the estimator did with them.
+    """
 
     kind: Literal["counts"] = "counts"
     links: tuple[LinkFrame, ...]
@@ -148,7 +164,10 @@ class Event(_Wire):
 
 
 class EventsFrame(_Wire):
-    """Events in order, each sent once; `missed` were dropped from the service's memory before they could be sent."""
+    """Events in order, each sent once.
+
+    `missed` is how many were dropped from the service's memory before they could be sent.
+    """
 
     kind: Literal["events"] = "events"
     events: tuple[Event, ...]
@@ -156,7 +175,10 @@ class EventsFrame(_Wire):
 
 
 class VehicleHistory(_Wire):
-    """One vehicle's last minutes, column by column, about one sample a second; None where a value was unknown."""
+    """One vehicle's last minutes, column by column, about one sample a second.
+
+    None where a value was unknown.
+    """
 
     sysid: int
     at_s: tuple[float, ...]
@@ -179,7 +201,10 @@ class TilesInfo(_Wire):
 
 
 class Hello(_Wire):
-    """The first message: the run of the service, whether it accepts commands, whether it is a replay, and the last minutes."""
+    """The first message to a page.
+
+    It has the run of the service, whether it accepts commands, whether it is a replay, and the last minutes.
+    """
 
     kind: Literal["hello"] = "hello"
     instance: str
