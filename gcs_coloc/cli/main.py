@@ -55,7 +55,7 @@ SUBCOMMANDS = {
 
 
 class LateCommands(TyperGroup):
-    """A command group whose members `SUBCOMMANDS` are not imported before they are asked for."""
+    """A command group that imports the module of a command of `SUBCOMMANDS` when it is first used."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Every command's name."""

@@ -97,12 +97,12 @@ def _open(
 
 
 def warn_of_damage(file: Path, damage: Mapping[str, int]) -> None:
-    """Say on stderr what of a recording could not be read."""
+    """Print on stderr what of a recording could not be read."""
     for kind, amount in damage.items():
         print(f"gcs-coloc: warning: {file}: {kind.replace('_', ' ')}: {amount}; replayed what is whole", file=sys.stderr)
 
 
 def warn_of_findings(path: Path, findings: Iterable[DataFinding]) -> None:
-    """Say on stderr what in a recording or data set does not agree, one line each."""
+    """Print on stderr what in a recording or data set does not agree, one line each."""
     for finding in findings:
         print(f"gcs-coloc: warning: {path}: {finding.text}", file=sys.stderr)

@@ -61,7 +61,7 @@ class Section(BaseModel):
 
 
 class MavlinkConfig(Section):
-    """`[mavlink]`: who we are on the link."""
+    """`[mavlink]`: our own MAVLink ids."""
 
     system_id: int = Field(254, ge=1, le=255)
     """Our MAVLink system id. A vehicle with MAV_OPTIONS=1 takes GPS_INPUT only from its MAV_GCS_SYSID (255)."""
@@ -99,7 +99,7 @@ class SigningConfig(Section):
 
 
 class SendersConfig(Section):
-    """`[senders]`: who may speak for a vehicle, and how much anybody may say."""
+    """`[senders]`: who may send as a vehicle, and how much each sender may send."""
 
     rebind_after_s: float = Field(5.0, gt=0)
     """A system id is bound to the address that it is heard from. After so long a silence it may use another one.
@@ -127,7 +127,7 @@ VehicleName = Annotated[str, Field(min_length=1, max_length=9)]
 
 
 class FleetConfig(Section):
-    """`[fleet]`: the operator's word on single vehicles, and the fleet's bounds."""
+    """`[fleet]`: the operator's settings of single vehicles, and the fleet's bounds."""
 
     failed: tuple[int, ...] = ()
     """System ids whose GPS is declared failed, whatever it says."""
@@ -180,7 +180,7 @@ class StationConfig(Section):
     """Scale error of the same: the excess over 1."""
 
     def station(self) -> Station:
-        """The station as the engine takes it."""
+        """Return the station as the engine needs it."""
         position = StationPosition(self.lat_deg, self.lon_deg, self.alt_m, self.sigma_m, self.sigma_m)
         return Station(self.id, self.name, position, range_bias_m=self.range_bias_m, range_scale=self.range_scale)
 

@@ -43,7 +43,7 @@ class WebConfig(Section):
 
     @property
     def must_open(self) -> bool:
-        """Whether the address was asked for: a service without its page is then not what the operator wanted."""
+        """Whether the address was set by the operator, so that the service must not run without its page."""
         return "address" in self.model_fields_set
 
     def host_and_port(self) -> tuple[str, int]:

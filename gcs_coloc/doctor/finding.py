@@ -84,7 +84,7 @@ class VehicleSurvey:
 
 @dataclass(frozen=True, slots=True)
 class FleetSurvey:
-    """The fleet after `seconds` of listening. `refused` counts what was not taken, by reason.
+    """The fleet after `seconds` of listening. `refused` counts what was refused, by reason.
 
     `stations` are the node ids of the fixed stations whose position is known.
     """

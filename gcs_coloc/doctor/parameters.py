@@ -90,7 +90,7 @@ def look_up(parameters: Mapping[str, float], names: tuple[str, ...]) -> tuple[st
 
 @dataclass(slots=True)
 class ParameterReader:
-    """Asks one vehicle, a few at a time, for what it has not told yet."""
+    """Requests the parameters that one vehicle has not sent yet, a few at a time."""
 
     autopilot: Autopilot
     told: dict[str, float] = field(default_factory=dict)
@@ -101,7 +101,7 @@ class ParameterReader:
     _rounds: int = 0
 
     def add(self, name: str, value: float, kind: int) -> None:
-        """Take one parameter that the vehicle told; `kind` is its MAV_PARAM_TYPE."""
+        """Add one parameter that the vehicle sent; `kind` is its MAV_PARAM_TYPE."""
         if not self.told and self.requests_as_gcs:
             self.answers_as_gcs_only = True
         self.told[name] = value
@@ -109,11 +109,11 @@ class ParameterReader:
 
     @property
     def requests_as_gcs(self) -> bool:
-        """Whether the next questions are asked under a ground station's id, as ours gets no answer."""
+        """Whether the next requests are sent under a ground station's id, as ours gets no answer."""
         return self.answers_as_gcs_only or (not self.told and self._rounds > OWN_TRIES)
 
     def due(self, now_s: float) -> list[str]:
-        """The names to ask for by now."""
+        """Return the names of the parameters to request by now."""
         if now_s < self._due_s:
             return []
         open_names = [
@@ -167,7 +167,7 @@ def differs_from(value: float) -> Callable[[float], bool]:
 
 
 def apply_rules(parameters: Mapping[str, float], rules: Iterable[ParameterRule]) -> Iterator[Finding]:
-    """What the rules conclude from the parameters that a vehicle told."""
+    """Yield the findings of the rules on the parameters that a vehicle sent."""
     for rule in rules:
         found = look_up(parameters, rule.names)
         if found is None:

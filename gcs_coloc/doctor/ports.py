@@ -37,7 +37,7 @@ class SerialPort:
 
     @property
     def protocol_name(self) -> str:
-        """The parameter that says what it speaks."""
+        """The name of the parameter that selects the port's protocol."""
         return f"SERIAL{self.number}_PROTOCOL"
 
     @property
@@ -85,19 +85,19 @@ class Instance:
 
 
 def serial_ports(told: Mapping[str, float]) -> list[SerialPort]:
-    """An ArduPilot's serial ports that speak MAVLink, as far as it has told them."""
+    """Return an ArduPilot's serial ports with MAVLink, as far as it has sent their parameters."""
     speaking = [n for n in _SERIAL_PORTS if told.get(f"SERIAL{n}_PROTOCOL") in _MAVLINK]
     return [SerialPort(n, channel, told[f"SERIAL{n}_PROTOCOL"] == _MAVLINK_1) for channel, n in enumerate(speaking)]
 
 
 def instances(told: Mapping[str, float]) -> list[Instance]:
-    """A PX4's MAVLink instances that are on, as far as it has told them."""
+    """Return a PX4's MAVLink instances that are on, as far as it has sent their parameters."""
     configs = {n: told.get(f"MAV_{n}_CONFIG", 0.0) for n in _INSTANCES}
     return [Instance(n, _TELEM_PORTS.get(config)) for n, config in configs.items() if config != 0.0]
 
 
 def wanted(autopilot: Autopilot, told: Mapping[str, float]) -> list[Names]:
-    """The parameters of its ports that there is reason to ask for, by what it has told so far."""
+    """Return the parameters of its ports to request, by what it has sent so far."""
     if autopilot is Autopilot.ARDUPILOT:
         ports = serial_ports(told)
         return [

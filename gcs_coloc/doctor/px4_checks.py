@@ -1,4 +1,4 @@
-"""Checks of PX4's parameters: its EKF2 takes a position by the method that it is sent."""
+"""Checks of PX4's parameters: EKF2 fuses the position that is sent by an aiding method."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def _fuses(bit: int, sensor: str) -> ParameterRule:
 
 
 def _arrives_without_delay(names: tuple[str, ...]) -> ParameterRule:
-    """Return the rule that EKF2 takes a position to be true when it arrives."""
+    """Return the rule that EKF2 uses a position as of its arrival, without a delay."""
     return ParameterRule(
         names,
         equals(0.0),

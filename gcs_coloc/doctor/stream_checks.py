@@ -45,7 +45,7 @@ Remedy = tuple[str, tuple[str, float] | None]
 
 
 def check(vehicle: VehicleSurvey) -> Iterator[Finding]:
-    """Judge the rates that were measured, and what the vehicle's ports speak."""
+    """Check the rates that were measured, and the protocol of the vehicle's ports."""
     good = []
     for stream, hz in wanted_hz(vehicle.autopilot).items():
         if stream is Stream.PRESSURE:

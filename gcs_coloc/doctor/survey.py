@@ -119,11 +119,11 @@ class Survey:
 
     @property
     def refused(self) -> Mapping[str, int]:
-        """What was not taken, by reason."""
+        """What was refused, by reason."""
         return Counter(self._decoder.counts) + Counter({reason.value: n for reason, n in self._stations.refused.items()})
 
     def receive(self, datagram: bytes, place: Hashable, at_s: float, signing: LinkSigning | None = None) -> None:
-        """Take what arrived from an address. Nothing that bytes can hold makes it raise."""
+        """Receive a datagram from an address. No content makes it raise."""
         good: list[RawFrame] = []
         for frame in self._decoder.decode(datagram, at_s, place, signing, good):
             if frame.message is not None:
@@ -149,7 +149,7 @@ class Survey:
             self._engine.receive(RouteReport(message.sysid, at_s, None))
 
     def questions(self, now_s: float) -> list[Question]:
-        """What is to be asked by now, and of whom."""
+        """Return the requests that are due."""
         out = []
         for sysid, vehicle in self._vehicles.items():
             as_gcs = vehicle.reader.requests_as_gcs
@@ -164,7 +164,7 @@ class Survey:
         return out
 
     def findings(self, names: Mapping[Hashable, str], *, host_is_synchronised: bool | None) -> FleetSurvey:
-        """What was found out; `names` are the addresses in words."""
+        """Return the results of the survey; `names` are the addresses in words."""
         there: dict[Hashable, set[int]] = {}
         for sysid, vehicle in self._vehicles.items():
             for place in vehicle.stays:

@@ -97,7 +97,10 @@ class Route(NamedTuple):
 
 
 class MalformedAddressError(Exception):
-    """A text is no connection string of its scheme. Its own text says why; empty: its form is wrong."""
+    """A text is no connection string of its scheme.
+
+    The exception's text says why; it is empty where the form is wrong.
+    """
 
 
 class LinkAddress(ABC):

@@ -55,7 +55,7 @@ class RateLimiter:
         return len(self._sources)
 
     def add_source(self, source: Hashable, now_s: float, proven_vehicle: int | None = None) -> None:
-        """Give a vehicle's source a bucket of its own from service time `now_s` on, if there is room.
+        """Add a vehicle's source, with a bucket of its own, at service time `now_s`, if there is room.
 
         `proven_vehicle` is its system id where it has been known for some time: it takes the bucket of a source without such a
         vehicle. When it moves, the source that it leaves is one without it.

@@ -81,7 +81,7 @@ class StandbyLink:
         self._peer_address = min(found, key=lambda entry: (len(entry[4]) == 4) != listens_on_ipv6)[4]
 
     def send(self, sign: SignOfLife) -> None:
-        """Send one sign of life; what the system does not take is counted."""
+        """Send one sign of life; one that the system does not accept is counted."""
         if self._peer_address is not None:
             self._link.send(self._peer_address, pack(sign, self._key))
 

@@ -96,7 +96,10 @@ def _port(digits: str) -> int:
 
 
 def reason(error: OSError) -> str:
-    """The system's words for an error: asyncio puts its own, and the address once more, in their place."""
+    """Return the system's words for an error.
+
+    asyncio replaces them by its own words and the address.
+    """
     return os.strerror(error.errno) if error.errno is not None and error.errno > 0 else error.strerror or str(error)
 
 

@@ -12,9 +12,9 @@ from gcs_coloc.mavlink.refusals import Field
 
 ALTITUDE_MIN_M = -1000.0
 """Chosen: below the lowest land, the Dead Sea's shore at -430 m, with room for a barometer's error."""
-ALTITUDE_MAX_M = 100_000.0  # chosen: the edge of space
+ALTITUDE_MAX_M = 100_000.0
+"""Chosen: the Karman line, the edge of space. Above it nothing flies on wings or rotors."""
 PRESSURE_MIN_HPA, PRESSURE_MAX_HPA = 50.0, 1200.0  # 20 km to -1400 m in the standard atmosphere
-"""The Karman line: above it nothing flies on wings or rotors."""
 SPEED_MAX_MPS = 1000.0
 """Chosen: three times the speed of sound."""
 RANGE_MAX_M = 100_000.0

@@ -158,7 +158,7 @@ class Decoder:
         return sender[1] == MAV_COMP_ID_AUTOPILOT1 or (sender in self._autopilots and not self._is_beside_autopilot(sender))
 
     def _is_beside_autopilot(self, sender: tuple[int, int]) -> bool:
-        """Whether a component has its system's autopilot, component 1, beside it."""
+        """Whether a component is another one of a system whose component 1 is an autopilot."""
         sysid, compid = sender
         return compid != MAV_COMP_ID_AUTOPILOT1 and (sysid, MAV_COMP_ID_AUTOPILOT1) in self._autopilots
 

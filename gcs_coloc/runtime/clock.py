@@ -1,4 +1,4 @@
-"""The service's clock, the host's, and a timer. Made by the composition root alone."""
+"""The service's clock, the host's clock, and a timer."""
 
 from __future__ import annotations
 

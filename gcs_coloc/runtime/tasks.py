@@ -55,7 +55,7 @@ class Workers:
 
 
 class Pool(Protocol):
-    """What takes tasks. It is a context; leaving it ends what is still running."""
+    """A pool that runs tasks. It is a context; leaving it ends what is still running."""
 
     def capacity(self) -> int:
         """Return how many tasks may be submitted and not done; it may change."""

@@ -29,11 +29,11 @@ class AlarmDesk:
 
     @property
     def tells_ground_tools(self) -> bool:
-        """Whether ground tools are to be told of alarms."""
+        """Whether alarms are sent to ground tools."""
         return self._status_texts is not None
 
     def update(self, fleet: FleetSnapshot) -> tuple[Alarm, ...]:
-        """Bring the alarms up to date with how the fleet stands, and return those in the list."""
+        """Update the alarms from a snapshot of the fleet, and return those in the list."""
         self._publish(self._alarms.update(fleet))
         return tuple(self._alarms)
 
@@ -50,7 +50,7 @@ class AlarmDesk:
             self._publish(self._alarms.add_notice(message))
 
     def pop_status_texts(self, now_s: float) -> list[StatusText]:
-        """Return what ground tools are to be told in the second from service time `now_s` (s)."""
+        """Return the texts for ground tools of the second from service time `now_s` (s)."""
         return self._status_texts.pop_due(now_s) if self._status_texts is not None else []
 
     def _publish(self, changed: Iterable[Alarm]) -> None:

@@ -27,7 +27,7 @@ _MOST_WAITING = 1024
 
 @dataclass(frozen=True, slots=True)
 class LinkHooks:
-    """Whom the links tell and ask."""
+    """What the links call as they receive and send."""
 
     on_datagram: Callable[[Link, Address, bytes, float], None]
     """Takes what a link has received, and when, in service time."""

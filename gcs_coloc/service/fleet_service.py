@@ -319,7 +319,7 @@ class FleetService:
         return self._standby is not None and self._standby.is_held_back
 
     def command_refusal(self) -> str | None:
-        """Why an operator's override is not to be given to this service; None where it may."""
+        """Return why this service accepts no operator's override; None where it does."""
         return self._standby.command_refusal() if self._standby is not None else None
 
     @property

@@ -107,12 +107,15 @@ class HotStandby:
         log.info("hot standby: the other service is at %s", self._where)
 
     def start(self) -> None:
-        """Hold back what would be sent, before the first vehicle is heard, and begin to listen and to tell."""
+        """Hold back the outputs that change vehicles, and begin to exchange signs of life."""
         self._apply(HoldBack(self._clock(), held=True))
         self._tick()
 
     def give_way(self) -> None:
-        """End: the other service takes over, where it stands by; else ours ends as ever."""
+        """Let the other service take over, if it stands by.
+
+        Otherwise this service ends as one without a hot standby does.
+        """
         self._timer.cancel()
         now_s = self._clock()
         if self._peer.state is not StandbyState.ACTIVE or not self._peer.other_stands_by(now_s):
@@ -139,7 +142,7 @@ class HotStandby:
         return self._peer.may_be_other(Identity(sysid, compid))
 
     def watch(self, received: ReceivedDatagram, at_s: float) -> None:
-        """See what a vehicle shows of who feeds it."""
+        """Learn from a datagram which service feeds a vehicle."""
         watch = self._peer.watch
         for message in received.messages:
             if not isinstance(message, FromVehicle):
@@ -160,7 +163,7 @@ class HotStandby:
             self._send_sign()
 
     def order(self, order: StandbyOrder) -> str | None:
-        """Carry out what an operator says; the reason in words where that is not done."""
+        """Carry out an operator's order; return why where that is not done, else None."""
         refusal = self._peer.order(order, self._clock())
         self._publish(Notice(self._clock(), None, "info", f"operator: hot standby: {order.value.replace('_', ' ')}"))
         self._synchronise()
@@ -168,13 +171,13 @@ class HotStandby:
         return refusal.text if refusal is not None else None
 
     def command_refusal(self) -> str | None:
-        """Return why overrides are not to be given to this service; None where they may."""
+        """Return why this service accepts no override; None where it does."""
         if self._peer.follows(self._clock()):
             return "the other service is active and keeps the overrides of both: give it there, or take over first"
         return None
 
     def snapshot(self) -> StandbySnapshot:
-        """Return how the two stand, for observers."""
+        """Return the state of both services, for observers."""
         return self._peer.snapshot(self._clock())
 
     def _receive(self, sign: SignOfLife) -> None:

@@ -32,7 +32,7 @@ class ReplayService:
     """Serves one recording. `run` lasts until a signal."""
 
     def __init__(self, file: Path, settings: Settings, ranges: Path | None, truth: Path | None, speed: float) -> None:
-        """Read the tables beside the recording, and its beginning and end.
+        """Read the tables that come with the recording, and its beginning and end.
 
         `speed` in recorded seconds a second.
 

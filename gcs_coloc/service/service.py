@@ -107,7 +107,7 @@ class Service:
             raise failure
 
     def _work_for(self, supervisor: SupervisorLink) -> list[Coroutine[Any, Any, None]]:
-        """Tell the supervisor how the fleet stands, and end with it."""
+        """Return the tasks of a worker: reports to the supervisor, and its end with the supervisor's."""
         from gcs_coloc.service.worker import REPORT_EVERY_S
 
         async def end_with_it() -> None:
@@ -134,7 +134,7 @@ class _Observed:
         self._page: str | None = None
 
     def report(self) -> WorkerReport:
-        """How the fleet stands, for the supervisor."""
+        """Return the fleet's state, for the supervisor."""
         from gcs_coloc.service.worker import REPORT_EVERY_S, WorkerReport
         from gcs_coloc.sinks.fleet_overview import fleet_overview
 

@@ -57,7 +57,7 @@ class SnapshotCache:
         self._counted: tuple[FleetSnapshot, FleetSnapshot] | None = None  # an engine's snapshot, and the same with all counts
 
     def snapshot(self) -> FleetSnapshot:
-        """The fleet as it stands, with all counts."""
+        """Return the fleet's present state, with all counts."""
         recent = self.recent_snapshot()
         if self._counted is None or self._counted[0] is not recent:
             refused = recent.refused | self._refusals.totals()
@@ -66,7 +66,7 @@ class SnapshotCache:
         return self._counted[1]
 
     def recent_snapshot(self) -> FleetSnapshot:
-        """The fleet as it stands, or stood a moment ago.
+        """Return the fleet's state of now or of a moment ago.
 
         Without the counts from outside of the engine: links, ground tools, and most refusals.
         """

@@ -108,7 +108,7 @@ class Supervisor:
         self._watched.receive_connection(name, name, said, time.monotonic())
 
     async def _report_silent(self) -> None:
-        """Log workers that run and say nothing."""
+        """Log workers that run and send no reports."""
         while True:
             await asyncio.sleep(_LOOK_EVERY_S)
             silent = {fleet.name: fleet.text for fleet in self.shown() if fleet.presence is Presence.STALE}
@@ -119,12 +119,12 @@ class Supervisor:
             self._was_silent = set(silent)
 
     def shown(self) -> tuple[FleetShown, ...]:
-        """All fleets as they stand, each with the address of its own page."""
+        """Return all fleets in their present state, each with the address of its own page."""
         fleets = self._watched.shown(time.monotonic())
         return tuple(fleet.model_copy(update={"page": self._workers[fleet.name].page}) for fleet in fleets)
 
     def problem(self) -> str | None:
-        """Which fleets are not heard, in words; None where all are."""
+        """Return which fleets are not heard, in words; None where all are."""
         problems = [f"fleet {fleet.name}: {fleet.text}" for fleet in self.shown() if fleet.presence is not Presence.LIVE]
         return "; ".join(sorted(problems)) or None
 
@@ -134,7 +134,7 @@ class Supervisor:
         return worker_metrics(is_heard, {worker.name: worker.starts for worker in self._workers.values()})
 
     async def fleet_metrics(self) -> list[tuple[Mapping[str, str], list[Metric]]]:
-        """The metrics of each fleet that answers, with the label that tells them apart."""
+        """Return the metrics of each fleet that answers, with the fleet's label."""
         pages = {worker.name: worker.page for worker in self._workers.values() if worker.page is not None}
         found = await asyncio.gather(*(asyncio.to_thread(_scrape, page) for page in pages.values()))
         return [({"fleet": name}, families) for name, families in zip(pages, found, strict=True)]

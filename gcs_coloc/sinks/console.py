@@ -181,7 +181,10 @@ def log_uncaught() -> None:
 
 
 class _NamedLines(logging.Formatter):
-    """Every line of a record, a traceback's too, begins with the time, the level and `whose` it is."""
+    """Begins every line of a record with the time, the level and the fleet's name, `whose`.
+
+    The lines of a traceback are included.
+    """
 
     def __init__(self, whose: str) -> None:
         super().__init__("%(message)s")

@@ -139,7 +139,7 @@ def _called(v: VehicleSnapshot) -> str:
 
 
 def _reason(v: VehicleSnapshot) -> str | None:
-    """Why a vehicle is not as it should be, and what is done for it; None where nothing is to be told."""
+    """Return why a vehicle is not as it should be, and its aiding; None where there is no reason."""
     if v.gps_state == GpsState.HEALTHY.value and v.inhibit_reason is None:
         found = v.readiness
         return f"{_called(v)}: would be lost without GPS: {found.text}" if found is not None and found.is_lost else None

@@ -156,7 +156,10 @@ class Mqtt:
                 raise
 
     async def _publish_together(self, client: Client, topics: Iterable[tuple[str, BaseModel]]) -> None:
-        """Publish together, with one time limit for all: a publication takes several runs of the event loop."""
+        """Publish some topics together, with one time limit for all.
+
+        A publication takes several runs of the event loop.
+        """
         content = [(f"{self._base}/{topic}", model.model_dump_json()) for topic, model in topics]
         try:
             async with asyncio.timeout(ANSWER_WITHIN_S):

@@ -36,7 +36,7 @@ class Command(BaseModel):
         return self
 
     def override(self) -> Override:
-        """The override that was given."""
+        """Return the override of this command."""
         return self._overrides()[0]
 
     def _overrides(self) -> list[Override]:

@@ -252,7 +252,7 @@ def status(snapshot: FleetSnapshot | None, *, online: bool) -> FleetStatus:
 
 
 def _told(model: type[_Model], source: object, **further: Any) -> _Model:
-    """A message whose fields are those of a snapshot of the core, but for some further ones."""
+    """Make a message with the fields of a snapshot of the core, and some further ones."""
     return model.model_validate({key: getattr(source, key) for key in model.model_fields.keys() - further.keys()} | further)
 
 

@@ -42,7 +42,7 @@ class WatchRefusal(StrEnum):
 
 
 class _Status(BaseModel):
-    """What is taken of `…/status`; later versions may add fields."""
+    """The part of `…/status` that is used; later versions may add fields."""
 
     model_config = ConfigDict(extra="ignore")
     online: bool
@@ -97,7 +97,7 @@ class MqttWatch:
         await self._connection.keep(self._session)
 
     def receive(self, topic: str, payload: bytes) -> None:
-        """Take one message, or count why it is refused. Never raises for its content."""
+        """Add one message, or count why it is refused. Never raises for its content."""
         refusal = self._receive(topic, payload)
         if refusal is not None:
             self.counts.add(refusal)

@@ -104,7 +104,7 @@ class _Heard:
 
 @dataclass(slots=True)
 class _Source:
-    """A fleet's place: its name, what was last said of its connection, and what was heard there by host."""
+    """What one source sent of a fleet: its name, the last report on its connection, states by host."""
 
     name: str
     said: Presence | None = None
@@ -145,7 +145,7 @@ class WatchedFleets:
     def receive_connection(
         self, source: str, name: str, said: Presence | None, now_s: float, sysids: tuple[int, ...] = ()
     ) -> bool:
-        """Take what is said of the connection of a fleet's service: LOST, ENDED, or None where it stands.
+        """Add a report on the connection of a fleet's service: LOST, ENDED, or None where it is up.
 
         `sysids` are the vehicles that it has heard, as far as that is told. False where there are too many fleets.
         """

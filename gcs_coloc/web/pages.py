@@ -88,7 +88,7 @@ class Page:
         self._wake.set()
 
     def receive(self, text: str | None) -> None:
-        """Apply what the page says of itself."""
+        """Apply a message of the page: pictures shown, out of sight or in sight again."""
         if text in _PICTURES_SHOWN:
             self._unshown = max(self._unshown - _PICTURES_SHOWN[text], 0)
             if self._picture is None:
@@ -144,7 +144,7 @@ class Pages:
         return len(self._open) >= MAX_PAGES
 
     def add(self, hello: Callable[[], str], send: Callable[[str], Awaitable[None]]) -> Page:
-        """A new page, which `remove` takes out again."""
+        """Add a new page and return it; `remove` removes it again."""
         page = Page(self.source, hello, send)
         self._open.add(page)
         return page

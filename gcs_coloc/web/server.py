@@ -91,11 +91,11 @@ class WebServer:
 
     @property
     def must_open(self) -> bool:
-        """Whether the operator asked for this very address."""
+        """Whether the operator set this address, so that the service must not run without its page."""
         return self._config.must_open
 
     def open(self) -> str:
-        """Take the address; returns the page's URL.
+        """Bind and listen; return the page's URL.
 
         Raises:
             WebError: the address is in use or cannot be listened on.
@@ -178,7 +178,7 @@ class WebServer:
             signal.signal(number, handler)
 
     def close(self) -> None:
-        """Give the address back."""
+        """Close the socket."""
         if self._socket is not None:
             self._socket.close()
 

@@ -120,7 +120,7 @@ def page_event(number: int, message: ToOperator | Alarm) -> Event:
 
 
 def is_told_already(event: ToOperator | Alarm) -> bool:
-    """Whether an event says no more than the notice before it: an alarm of a notice that was raised."""
+    """Whether an event repeats the notice before it: it is the alarm that this notice raised."""
     return isinstance(event, Alarm) and event.kind is AlarmKind.NOTICE and event.state is AlarmState.OVER
 
 
