@@ -1,4 +1,7 @@
-"""The clocks of one fleet: stamps of messages to service time, TIMESYNC requests and answers, duplicate system ids."""
+"""The clocks of one fleet: the service time of each message, and the TIMESYNC exchanges.
+
+Also here: UTC, and the detection of two autopilots that use one system id.
+"""
 
 from __future__ import annotations
 
@@ -124,7 +127,10 @@ class FleetClocks:
         return self._fresh(measured, now_s, CoreRefusal.RANGE_TOO_OLD)
 
     def add_system_time(self, message: SystemTime, *, gps_is_trusted: bool) -> None:
-        """Add the UTC that a vehicle knows; it shows the link's delay where its GPS is trusted and the host knows UTC."""
+        """Add the boot time and the UTC of a vehicle.
+
+        The UTC shows how late the vehicle's link is, where its GPS is trusted and the host knows UTC.
+        """
         clocks, measured = self._of(message.sysid), self.stamp(message)
         if message.unix_s is None or measured is None:
             clocks.utc_minus_service_s = None
@@ -135,7 +141,10 @@ class FleetClocks:
         clocks.utc_minus_service_s = message.unix_s - measured.at_s
 
     def utc_minus_service_s(self, with_healthy_gps: Iterable[int]) -> float | None:
-        """Return UTC minus service clock, from the host or the vehicles with healthy GPS; None where nobody knows it."""
+        """Return UTC minus service clock, in s; None where neither host nor vehicles know UTC.
+
+        The vehicles' UTC counts where the host's is missing, or its clock is known not to be synchronised.
+        """
         stated_s = (self._of(sysid).utc_minus_service_s for sysid in with_healthy_gps)
         return self._utc.minus_service_s(utc_s for utc_s in stated_s if utc_s is not None)
 
@@ -151,9 +160,10 @@ class FleetClocks:
         return TimeSyncRequest(sysid, ts1_ns) if ts1_ns is not None else None
 
     def report_unanswered(self, sysid: int, first_heard_s: float, now_s: float) -> Notice | None:
-        """Return what the operator must know of a vehicle that does not answer TIMESYNC: how late its link is held to be.
+        """Return a notice about a vehicle that does not answer TIMESYNC; None where none is due.
 
-        Once for each way by which its clock is known instead, and anew after TIMESYNC was answered and is no more.
+        It says how late the link is assumed to be. The operator gets it once for each method by which the clock is known
+        instead, and again where TIMESYNC was answered and then is not answered any more.
         """
         clocks = self._of(sysid)
         since_s = max(first_heard_s, clocks.boot.stamps.began_at_s)
@@ -176,7 +186,7 @@ class FleetClocks:
         return Notice(now_s, sysid, "warning", text)
 
     def review_duplicate_id(self, sysid: int, now_s: float) -> Notice | None:
-        """Review whether two autopilots use one system id; return what the operator must know where that has changed."""
+        """Review whether two autopilots use one system id; return a notice where that has changed."""
         detected = self._of(sysid).boot.duplicates.detected(now_s)
         if detected == (sysid in self._duplicate_ids):
             return None
@@ -191,7 +201,10 @@ class FleetClocks:
         return sysid in self._duplicate_ids
 
     def knows_delay(self, sysid: int, now_s: float) -> bool:
-        """Whether TIMESYNC, UTC or a setting shows how late a vehicle's link is; also where it has sent no stamp yet."""
+        """Return whether TIMESYNC, UTC or a setting shows how late a vehicle's link is.
+
+        Also true for a vehicle that has sent no stamp yet.
+        """
         quality = self.boot_clock(sysid).quality(now_s)
         return quality is None or quality[0] != ONE_WAY or self.settings.min_delay_s > 0.0
 

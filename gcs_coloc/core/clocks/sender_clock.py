@@ -51,16 +51,19 @@ class _Bucket:
 
 @dataclass(slots=True)
 class SenderClock:
-    """One clock of one sender: learns from each stamped message, refuses stamps that jump until they are borne out.
+    """One clock of one sender, learnt from the stamps of its messages.
 
-    A jump is a stamp more than 2 s ahead of what the least delay allows, or further behind the newest stamp than messages
-    overtake each other on this link (what waits in a queue comes late, but in order): than 1.5 times the most of the last
-    minute, between 0.5 and 2 s. After one of them, one behind the newest at all and late by as much is another.
-    Three that agree with each other, with no newer stamp of the old clock in between, are a new clock (a reboot), and the old
-    one is forgotten. A jump by 2^32 ms is none: boot times of 32 bits wrap after 49.7 days. After five minutes of silence it
-    begins anew as well.
-    `began_at_s` is when it last did (service time), `resets` how often because of a jump.
-    `newest_stamp_s` is the newest stamp, `last_difference_s` arrival minus stamp of the message that came last.
+    A stamp that jumps is refused until two more agree with it. A stamp jumps if it is more than 2 s ahead of what the least
+    delay allows. It also jumps if it is further behind the newest stamp than messages overtake each other on this link: 1.5
+    times the most of the last minute, but at least 0.5 s and at most 2 s. (What waits in a queue comes late, but in order.)
+    After one such jump, a stamp that is behind the newest one, and later by that much than the least delay, is another jump.
+
+    Three jumps that agree with each other, with no newer stamp of the old clock in between, are a new clock (a reboot): the old
+    one is forgotten. A step of 2^32 ms is no jump: boot times of 32 bits wrap after 49.7 days. After five minutes of silence
+    the clock begins anew, too.
+
+    `began_at_s` is the service time at which the clock last began anew, `resets` is how often it did because of a jump.
+    `newest_stamp_s` is the newest stamp. `last_difference_s` is arrival minus stamp of the message that came last.
     """
 
     resets: int = 0
@@ -123,7 +126,10 @@ class SenderClock:
         self._least_s = self._wait_s = None
 
     def unwrapped(self, stamp_s: float) -> float:
-        """A stamp with the turns of a 32-bit millisecond counter put back where that makes it agree with the clock so far."""
+        """Return a stamp corrected for the wrap of a 32-bit millisecond counter, in s.
+
+        It is corrected only where it then agrees with the clock so far.
+        """
         if not self._buckets:
             return stamp_s
         expected_s = self.newest_stamp_s
@@ -132,7 +138,10 @@ class SenderClock:
         return turned_s if -JUMP_S <= turned_s - expected_s <= silence_s else stamp_s
 
     def least_difference_s(self) -> float:
-        """Service clock minus sender's clock plus the link's least delay, for the newest stamps. Only where one is known."""
+        """Return service clock minus sender's clock plus the link's least delay, in s.
+
+        It is that of the newest stamps. Only valid while the clock is known.
+        """
         if self._least_s is None:
             newest = self._buckets[-1]
             self._least_s = min(
@@ -143,7 +152,10 @@ class SenderClock:
         return self._least_s
 
     def mean_wait_s(self) -> float:
-        """How much longer than the least of ten seconds messages take on average, over a minute, s. Only where one is known."""
+        """Return how much longer than the least delay messages wait on average, in s.
+
+        The least delay is that of each ten seconds, the average that of a minute. Only valid while the clock is known.
+        """
         if self._wait_s is None:
             last_s = self._buckets[-1].started_s
             of_late = [bucket for bucket in self._buckets if last_s - bucket.started_s <= _LEAST_OVER_S]
@@ -153,7 +165,10 @@ class SenderClock:
         return self._wait_s
 
     def to_service(self, stamp_s: float) -> float:
-        """The service time of a stamp (seconds), late by the link's least delay. Only valid after `learn` has taken one."""
+        """Return the service time of a stamp, too late by the link's least delay.
+
+        Both are in s. Only valid after `learn` has accepted a stamp.
+        """
         return self.unwrapped(stamp_s) + self.least_difference_s()
 
     def _jumped(self, stamp_s: float, difference_s: float, received_at_s: float) -> float | None:

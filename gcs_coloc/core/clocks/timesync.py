@@ -51,9 +51,10 @@ _ASYMMETRY = 0.1  # how much the least delays up and down may differ, 1-sigma, a
 
 
 class Synchronised(NamedTuple):
-    """Service clock minus sender's clock at `at_s` (service time), with 1-sigma, and the link's least one-way delay.
+    """The offset of a sender's clock from the service clock, by TIMESYNC.
 
-    The true offset is within `one_way_delay_s` of the estimate whatever the link does.
+    `offset_s` is service clock minus sender's clock at `at_s` (service time), `sigma_s` its 1-sigma. `one_way_delay_s` is the
+    link's least delay in one direction: the true offset is within it of the estimate, whatever the link does.
     """
 
     at_s: float
@@ -78,9 +79,10 @@ class _Exchange(NamedTuple):
 
 
 class Causality(NamedTuple):
-    """Between what the offset (service clock minus sender's) is at `at_s`, whatever the delays: by the last exchanges.
+    """The bounds of the clock offset that hold whatever the delays of the link are.
 
-    The bounds widen by the most that a clock's rate is off.
+    The last exchanges show that the offset (service clock minus sender's clock) is between `low_s` and `high_s` at `at_s`. The
+    bounds are widened by the most that a clock's rate is off.
     """
 
     at_s: float
@@ -97,7 +99,10 @@ class Causality(NamedTuple):
         return stamp_s + self.low_s - received_at_s
 
     def excludes(self, exchange: _Exchange) -> bool:
-        """Whether an exchange was answered before it was asked, or heard before it was sent: the clock was stepped."""
+        """Return whether an exchange contradicts the bounds: the clock was stepped.
+
+        It was then answered before it was asked, or heard before it was sent.
+        """
         age_s = exchange.at_s - self.at_s
         off_s = _STEP_S + _MOST_RATE * age_s
         return age_s <= _RECENT_S and not (-exchange.up_s <= self.high_s + off_s and exchange.down_s >= self.low_s - off_s)
@@ -105,14 +110,16 @@ class Causality(NamedTuple):
 
 @dataclass(slots=True)
 class RoundTrips:
-    """The exchanges of one autopilot of the last five minutes: when to request, which answers count, what they say.
+    """The TIMESYNC exchanges of the last five minutes with one autopilot.
 
-    `contradictions`: how many in a row no delay of the link explains, as one was answered before it was asked or heard before
-    it was sent. `causality` is what the last ones leave for the offset.
+    They show when the next request is due, which answers count, and what the clock's offset is.
 
-    Where exchanges contradict each other by less than a step, the clock is no crystal: a simulation's runs fast and slow by per
-    cents and stands still at times. Then the last ones alone count, the rate is theirs, and it is as uncertain as they were off
-    what was expected of late.
+    `contradictions`: how many exchanges in a row no delay of the link explains. Such an exchange was answered before it was
+    asked, or heard before it was sent. `causality` has the bounds that the last exchanges leave for the offset.
+
+    Exchanges that contradict each other by less than a step show that the clock is no crystal: the clock of a simulation runs
+    fast or slow by per cents and stands still at times. Then only the last exchanges count, for the offset and for the rate.
+    The estimate is then as uncertain as recent exchanges were off what was expected.
     """
 
     contradictions: int = 0
@@ -128,7 +135,10 @@ class RoundTrips:
     _last: deque[_Exchange] = field(default_factory=lambda: deque(maxlen=_RATE_EXCHANGES))
 
     def request(self, sysid: int, now_s: float, period_s: float) -> int | None:
-        """Our time in ns to put into a request that is due now, or None. Quick at first, seldom where nobody answers."""
+        """Return our time in ns for a request that is due now; None where none is due.
+
+        Requests are frequent at first, and rare where nobody answers.
+        """
         if now_s - self._requested_at_s < self._wait_s(period_s, now_s) - 1e-6:
             return None
         self._requested_at_s = now_s
@@ -144,9 +154,10 @@ class RoundTrips:
     def add_answer(
         self, ts1_ns: int, stamp_s: float, received_at_s: float, differences_s: tuple[float, float], drift: Drift
     ) -> CoreRefusal | None:
-        """Add one answer: our time as echoed, the sender's clock (s). Return why it is refused, or None where it is used.
+        """Add one answer; return why it is refused, or None where it is used.
 
-        `differences_s`, arrival minus stamp, the least of a minute and the last, and `drift` are what its one-way stamps say.
+        `ts1_ns` is our time as echoed, `stamp_s` the sender's clock. `differences_s` is arrival minus stamp of the sender's
+        one-way stamps: the least of a minute, and the last one. `drift` is that of these stamps.
         """
         requested_at_s = self._pending.pop(ts1_ns, None)
         if requested_at_s is None:
@@ -192,7 +203,10 @@ class RoundTrips:
         return self.contradictions >= _CONTRADICTIONS_TO_BELIEVE
 
     def estimate(self, now_s: float) -> Synchronised | None:
-        """What the exchanges say; None where there was none in the last five minutes, in seconds where the clock wanders."""
+        """Return the offset by the exchanges; None where the last one is too long ago.
+
+        Too long is five minutes, or five seconds where the clock wanders.
+        """
         is_crystal = self._estimate is None or self._estimate.drift.sigma < _WANDERING_SIGMA
         if self._estimate is None or now_s - self._estimate.at_s > (_WINDOW_S if is_crystal else _WANDERING_KNOWN_S):
             return None
@@ -243,7 +257,10 @@ def _agreeing(exchanges: FloatArray, drift: Drift) -> int:
 
 
 def _rate_of(exchanges: FloatArray) -> Drift:
-    """The rate of a clock that is no crystal: the slope of its last exchanges' middles, weighed against what such clocks do."""
+    """Return the rate of a clock that is no crystal, by its last exchanges (3, N).
+
+    It is the slope of the middles of these exchanges, weighed against the usual rates of such clocks.
+    """
     at_s, up_s, down_s = exchanges
     at_s, middle_s = at_s - at_s.mean(), (down_s - up_s) / 2.0
     noise2 = float(np.mean((up_s + down_s) ** 2)) / 12.0 + _FINEST_S**2  # uniform between what causality leaves

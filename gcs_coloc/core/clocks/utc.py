@@ -1,4 +1,6 @@
-"""UTC: the host's where its clock is disciplined, else that of the vehicles whose GPS is healthy; and from it GPS time.
+"""UTC on the service's clock, and GPS time from it.
+
+UTC is the host's. Where its clock is known not to be synchronised, that of the vehicles with healthy GPS comes first.
 
 GPS time does not know leap seconds: it runs ahead of UTC by as many as have been inserted since 1980-01-06. The table
 is IERS Bulletin C's; one line is added when a bulletin announces a leap second, and `TABLE_GOOD_UNTIL` is moved on with
@@ -28,12 +30,18 @@ TABLE_GOOD_UNTIL = datetime(2027, 6, 28, tzinfo=UTC)
 
 
 def table_is_old(unix_s: float) -> bool:
-    """Whether the leap second table no longer vouches for this time: an aid may then carry a time that is a second off."""
+    """Return whether a UNIX time is too late for the leap second table.
+
+    An aiding message may then carry a GPS time that is a second off.
+    """
     return unix_s >= TABLE_GOOD_UNTIL.timestamp()
 
 
 def gps_week_and_ms(unix_s: float) -> tuple[int, int]:
-    """GPS week number and milliseconds into it of a UNIX time; (0, 0) where the time is before the table begins."""
+    """Return the GPS week number of a UNIX time, and the milliseconds into that week.
+
+    (0, 0) where the time is before the leap second table begins.
+    """
     index = bisect_right(_STEPS_UNIX_S, unix_s)
     if index == 0:
         return 0, 0
@@ -49,7 +57,10 @@ class HostClockFault(Enum):
 
 
 class Utc:
-    """UTC on the service's clock. `required`: nobody is aided while the host's clock is not known to be synchronised."""
+    """UTC on the service's clock, from the host or from vehicles.
+
+    `required`: nobody is aided while the host's clock is not known to be synchronised.
+    """
 
     def __init__(self, *, required: bool) -> None:
         self._required = required

@@ -1,11 +1,14 @@
-"""The clocks of one vehicle: its boot clock and those of its ranging devices, mapped to the service's clock with a sigma.
+"""The clocks of one vehicle, mapped to the service's clock with a 1-sigma.
 
-With TIMESYNC answered, the boot clock's offset is what the round trips say. Without, it is bounded by the least delay of
-its one-way stamps, from which that delay is taken: what the settings say of it, or what the vehicle's UTC, which it has from
-GPS, shows against the host's. Where nothing shows it, it may be several times what messages wait beyond it. A ranging device
-or companion computer may have booted apart from the autopilot and answers nothing, but its stamps come down the same link:
-where they agree with the boot clock they are in it, and otherwise the link's least delay, once known, is taken from its own
-least difference.
+They are the boot clock of its autopilot, and the clocks of its ranging devices.
+
+Where TIMESYNC is answered, the round trips give the boot clock's offset. Where it is not, the least delay of the one-way stamps
+bounds the offset, and the link's least delay is subtracted. The settings give that delay, or the vehicle's UTC (from GPS) shows
+it against the host's. Where nothing shows it, it may be several times what messages wait beyond it.
+
+A ranging device or companion computer may have booted apart from the autopilot, and does not answer TIMESYNC, but its stamps
+come over the same link. Where they agree with the boot clock they are stamps of that clock. Otherwise the link's least delay,
+once known, is subtracted from their own least difference.
 """
 
 from __future__ import annotations
@@ -78,10 +81,10 @@ class OneWay(NamedTuple):
 
 @dataclass(slots=True)
 class DuplicateIdDetector:
-    """Two autopilots with one system id, told by their boot times: a reboot changes the clock once, two clocks take turns.
+    """The detector of two autopilots that use one system id, by their boot times.
 
-    Behind one address (a radio for several, a router) nothing else tells them apart, and what is sent to one reaches both.
-    Two that booted less than 10 s apart are not told apart.
+    A reboot changes the clock once; two clocks take turns. Behind one address (a radio for several, a router) nothing else
+    tells them apart, and what is sent to one reaches both. Two that booted less than 10 s apart are not told apart.
     """
 
     _differences_s: list[float] = field(default_factory=list)
@@ -111,7 +114,10 @@ class DuplicateIdDetector:
         self._turns_s.clear()
 
     def detected(self, now_s: float) -> bool:
-        """Whether two clocks take turns: six times, a second or more apart, within 20 s, and once within the last 10 s."""
+        """Return whether two clocks take turns, so that two autopilots use one system id.
+
+        They must take turns six times within 20 s, a second or more apart, and once within the last 10 s.
+        """
         turns_s = self._turns_s
         return len(turns_s) == _TURNS and turns_s[-1] - turns_s[0] <= _TURNS_WITHIN_S and now_s - turns_s[-1] <= _HELD_S
 
@@ -164,9 +170,10 @@ class VehicleClock:
         return refusal
 
     def add_utc(self, unix_s: float, boot_s: float, utc_minus_service_s: float) -> None:
-        """Take a vehicle's UTC, which it has from a healthy GPS, at its boot time; the host's, known to be right, on our clock.
+        """Add the UTC that a vehicle has from a healthy GPS, at its boot time.
 
-        Only valid after `learn` has taken the boot time. SYSTEM_TIME (2).
+        `utc_minus_service_s` is that of the host, whose UTC is known to be right. Only valid after `learn` has accepted the
+        boot time. Source: SYSTEM_TIME (2).
         """
         behind_s = self.stamps.to_service(boot_s) + utc_minus_service_s - unix_s
         sigma_s = hypot(_UTC_SIGMA_S, CRYSTAL_DRIFT * boot_s)
@@ -213,7 +220,10 @@ class VehicleClock:
         return ServiceTime(self.stamps.to_service(stamp_s) - one_way.delay_s, one_way.sigma_s)
 
     def from_service(self, at_s: float, now_s: float) -> float | None:
-        """A service time near the present as a stamp of this clock: `to_service` the other way round; None before one came."""
+        """Return a service time near the present as a stamp of this clock; None before its first stamp.
+
+        Both are in s. It is the inverse of `to_service`.
+        """
         if not self.stamps.known:
             return None
         newest_s = self.stamps.newest_stamp_s
