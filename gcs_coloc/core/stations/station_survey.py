@@ -1,6 +1,7 @@
-"""Survey of stations whose position nobody has given: from the ranges of vehicles with GPS, with its covariance.
+"""Survey of stations: finds positions that nobody has given, by ranges of vehicles with GPS.
 
-What is found is told, and locates nobody: people take it over into the configuration.
+A position that is found is reported to the operator, with its covariance. It locates nobody until people write it into the
+configuration.
 
     r_k = |p_k + o - s| + b + v_k
 
@@ -63,7 +64,11 @@ class SurveyProblem(StrEnum):
 
 
 class SurveyedPosition(NamedTuple):
-    """Where a station is: ENU in the fleet's frame, m, with 1-sigmas along the worst horizontal direction and of the height."""
+    """The surveyed position of a station: ENU in the fleet's frame, in m.
+
+    `sigma_h_m` is the 1-sigma along the worst horizontal direction, `sigma_v_m` that of the height. `ranges` is the number of
+    ranges.
+    """
 
     enu_m: Vector3
     sigma_h_m: float
@@ -123,11 +128,13 @@ class StationSurvey:
         survey.added += 1
 
     def solve_next(self) -> tuple[int, SurveyedPosition | SurveyProblem] | None:
-        """Seek the one station whose ranges have grown most since it was sought last, where they have grown enough.
+        """Solve for the position of the one station whose ranges have grown most since its last solution.
+
+        It is solved for only where its ranges have grown enough.
 
         Returns:
-            Its node id, and its position where it is found, or known twice as well as when it was returned last; once, why
-            many ranges have not found it.
+            The node id of the station, and its position where it is new or known twice as well as when it was returned last.
+            Where many ranges give no position, the reason instead, once. None where there is nothing to report.
         """
         node, survey = max(self._surveys.items(), key=lambda one: one[1].growth, default=(0, _Survey()))
         if survey.growth < _MORE:
@@ -181,7 +188,10 @@ def surveyed_station(station: Station, found: SurveyedPosition, frame: LocalFram
 
 
 def survey_notice(station: Station, found: SurveyedPosition | SurveyProblem, frame: LocalFrame, at_s: float) -> Notice:
-    """Tell where a station was found, and what to write into the configuration so that it is used; or why it was not found."""
+    """Return a notice of where a station was found, or of why it was not found.
+
+    For a station that was found it says what to write into the configuration so that the station is used.
+    """
     if isinstance(found, SurveyProblem):
         return Notice(at_s, None, "info", f"{station.label} cannot be surveyed yet: {found.value}")
     at = surveyed_station(station, found, frame).position
@@ -195,7 +205,10 @@ def survey_notice(station: Station, found: SurveyedPosition | SurveyProblem, fra
 
 
 def _place_at(reported: PositionMeasurement, at_s: float) -> Vector3 | None:
-    """Return where a vehicle was at a time near that of a report, carried on by its velocity; None where that is too far off."""
+    """Return where a vehicle was at a time near that of its report, ENU in m; None where unknown.
+
+    The position is extrapolated by its velocity. It is unknown where the report has no velocity or is too far off in time.
+    """
     t = at_s - reported.measured_at_s
     if reported.velocity_enu_mps is None or abs(t) > _REPORT_AGE_S:
         return None
@@ -232,7 +245,10 @@ def _fit(starts: FloatArray, positions: FloatArray, ranges: FloatArray, variance
 
 
 def _covariance(H: FloatArray, samples: list[_Sample], variances: FloatArray) -> FloatArray:
-    """Return the covariance (3, 3) of the place, with the lasting errors of ranges and receivers considered."""
+    """Return the covariance (3, 3) of a station's position, m^2.
+
+    The lasting errors of ranges and receivers are in it.
+    """
     vehicles = sorted({s.vehicle for s in samples})
     owner = np.array([vehicles.index(s.vehicle) for s in samples])
     offsets = np.zeros((len(samples), len(vehicles), 3))

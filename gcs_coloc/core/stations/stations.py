@@ -1,4 +1,7 @@
-"""The fixed stations of a fleet: those of the configuration, and those whose position a RANGING_BEACON states."""
+"""The fixed stations of a fleet, from the configuration and from RANGING_BEACON messages.
+
+A RANGING_BEACON may state the position of its station.
+"""
 
 from __future__ import annotations
 
@@ -99,9 +102,10 @@ class ResolvedRange(NamedTuple):
 
 
 class Stations:
-    """The stations of one fleet. `refused` counts what it refuses, and positions that contradict each other.
+    """The stations of one fleet.
 
-    `first_ranged_s` is when the first range to a station whose position is known came.
+    `refused` counts the ranges that are refused, and the positions that contradict each other. `first_ranged_s` is when the
+    first range to a station whose position is known came.
     """
 
     def __init__(
