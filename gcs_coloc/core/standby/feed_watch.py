@@ -49,7 +49,10 @@ class _Vehicle:
 
 
 class FeedWatch:
-    """Whether the other service feeds a vehicle. `period_s` is the time between two fixes, the same for both services."""
+    """The evidence of which vehicles the other service feeds.
+
+    `period_s` is the time between two fixes, the same for both services.
+    """
 
     def __init__(self, period_s: float) -> None:
         self._silent_after_s = 2.5 * max(period_s, 0.1)
@@ -79,7 +82,10 @@ class FeedWatch:
         self._vehicle(sysid).sent_at_s = at_s
 
     def fed_vehicle(self, now_s: float, since_s: float = float("-inf")) -> int | None:
-        """Return a vehicle that the other one feeds by what it showed after `since_s`; None where none shows that."""
+        """Return a vehicle that the other service feeds; None where no vehicle shows that.
+
+        Only what vehicles have shown after `since_s` counts.
+        """
         for sysid, vehicle in self._vehicles.items():
             fed_at_s = self._fed_at_s(vehicle, now_s)
             if fed_at_s > since_s and now_s - fed_at_s <= self._silent_after_s:

@@ -1,4 +1,7 @@
-"""The other service of a hot standby, as its signs of life show it: its state, its silence, and whether it answers us."""
+"""The other service of a hot standby: its state, its silence, and whether it answers us.
+
+All of this is known from its signs of life.
+"""
 
 from __future__ import annotations
 
@@ -25,12 +28,14 @@ class Heard(Enum):
 
 
 class OtherService:
-    """What is known of the other service. `run` is the random number of this start; times are service time, s.
+    """What is known of the other service, from its signs of life.
 
-    `shared` is what it told while it was active. `identity`, `state` and `heard_at_s` are None until it was heard.
-    `since_s`: since when it has been in its state. `listening_since_s`: since when we have listened without standing still.
-    `fresh_at_s`: when that of its messages was sent at the earliest which answers ours.
-    `echo`: run and number of its newest message. `mismatch`: in words, why the two cannot be a pair.
+    `run` is the random number of our own start. Times are service time, s.
+
+    `shared` is what the other service told while it was active. `identity`, `state` and `heard_at_s` are None until it was
+    heard. `since_s` is the time since which it has been in its state. `listening_since_s` is the time since which we have
+    listened without standing still. `fresh_at_s` is when we sent the newest message that it has answered: the answer is no
+    older than that. `echo` is run and number of its newest message. `mismatch` says in words why the two cannot be a pair.
     """
 
     def __init__(self, own: Identity, run: int, now_s: float) -> None:

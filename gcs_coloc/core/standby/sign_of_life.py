@@ -1,4 +1,7 @@
-"""What two services of one fleet tell each other: the sign of life, the states, and why a service is in one."""
+"""The sign of life that the two services of one fleet send each other, and their states.
+
+Also here: why a service is in its state, and what an operator may order.
+"""
 
 from __future__ import annotations
 
@@ -93,7 +96,11 @@ class OverrideInForce(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Shared:
-    """What the one that follows must know to go on: whom the active one feeds, and what operators and it itself have switched."""
+    """What the active service tells the other one, so that the other one can take over.
+
+    `feeding` are the vehicles that the active service feeds, `overrides` are the operators' overrides in force, `switched` are
+    the vehicles whose own receiver the service has switched out of use.
+    """
 
     feeding: tuple[int, ...] = ()
     overrides: tuple[OverrideInForce, ...] = ()

@@ -1,4 +1,6 @@
-"""The hot standby's state machine: which of two services sends, by signs of life and by what vehicles show.
+"""The state machine of a hot standby peer: it decides which of the two services sends.
+
+It decides by signs of life and by what vehicles show.
 
 With two services there is no majority. Three rules keep them from sending both, and hold in this order:
 
@@ -58,9 +60,12 @@ _JUST_AFTER_S = 1e-3
 
 
 class StandbyPeer:
-    """One of the two services. `tick` it every `TICK_S`; give it each sign of life, and the vehicles' evidence to `watch`.
+    """One of the two services of a hot standby.
 
-    `own`: how it sends. `run`: a random number of this start. `is_active`: whether it is to be the active one from the start.
+    Call `tick` every `TICK_S` and `receive` for each sign of life, and add what vehicles show to `watch`.
+
+    `own` is the identity with which it sends. `run` is a random number of this start. `is_active`: it is to be the active one
+    from the start. `period_s` is the time between two fixes.
     """
 
     def __init__(self, own: Identity, run: int, *, is_active: bool, now_s: float, period_s: float) -> None:
@@ -92,7 +97,10 @@ class StandbyPeer:
             self._follow(sign, now_s, answers_us=heard is Heard.ANSWER)
 
     def tick(self, now_s: float, wanted: Collection[int]) -> None:
-        """Look at the time; `wanted` are the vehicles that this service would send something that changes what they do."""
+        """Update the state as of now.
+
+        `wanted` are the vehicles to which this service would send something that changes what they do.
+        """
         self._look_at_time(now_s)
         self._ticked_at_s = now_s
         self._permits.set_wanted(wanted, now_s)
@@ -161,7 +169,10 @@ class StandbyPeer:
         return SignOfLife(self.own, self._run, self._number, *self._other.echo, self.state, self.term, wish, shared)
 
     def may_send(self, sysid: int, now_s: float) -> bool:
-        """Return whether a vehicle may be sent now what changes what it does. To be asked right before it is sent."""
+        """Return whether a vehicle may now be sent something that changes what it does.
+
+        Call it right before sending: where it may, the vehicle counts as fed from now on.
+        """
         self._look_at_time(now_s)
         if self.state is not StandbyState.ACTIVE:
             return False

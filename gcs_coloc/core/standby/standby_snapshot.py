@@ -14,7 +14,9 @@ ALONE_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class StandbySnapshot:
-    """Which of the two services sends, as observers see it; times are service time, s, ages in s and None for never.
+    """Which of the two services sends, as observers see it.
+
+    Times are service time, s, and ages are in s. None stands for never.
 
     `sends`: `this`, `other`, `nobody` or `unknown`. `fed_sysid`: a vehicle that shows that the other one feeds it. `problem`:
     what a person should do, None where all is well. `waiting_for_sysids`: the vehicles that show nothing of who feeds them,
