@@ -1,4 +1,7 @@
-"""Held motion: where a vehicle is later if it goes on at its speed and turn rate; and the turn rate from its velocities."""
+"""Held motion: where a vehicle is later if it keeps its speed and its turn rate.
+
+Also here: the turn rate of a vehicle from its velocities.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,10 @@ _LEAST_TURN_RADPS = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class HeldMotion:
-    """Position (east, north, up, m) and velocity (m/s) at a time; the turn rate (rad/s, clockwise from above) from then on."""
+    """A motion that is held: a position, a velocity and a turn rate.
+
+    `position` (east, north, up) is in m, `velocity` in m/s. `turn_radps` is clockwise as seen from above.
+    """
 
     position: Vector3
     velocity: Vector3
@@ -43,7 +49,10 @@ class HeldMotion:
         return HeldMotion(position, velocity, turn)
 
     def in_formation_with(self, other: HeldMotion) -> HeldMotion:
-        """Return the motion with velocity and turn rate of another vehicle where they are alike: the rest is noise and sway."""
+        """Return this motion with velocity and turn rate of another vehicle, if both fly in formation.
+
+        They do where both are alike: the difference is then noise and sway. Otherwise return this motion.
+        """
         (ve, vn, _), (other_ve, other_vn, _) = self.velocity, other.velocity
         is_formation = (
             hypot(other_ve, other_vn) >= _LEAST_FORMATION_MPS

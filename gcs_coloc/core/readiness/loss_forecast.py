@@ -1,4 +1,7 @@
-"""The forecast of a loss of GPS: the estimator's prediction with its protection level, put to the fix policy, as in flight."""
+"""The forecast of a loss of GPS: would a fix from ranges still be stated, and how good is it?
+
+The estimator's prediction gets its protection level and is put to the fix policy, as in flight.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +65,10 @@ class LossSituation:
 def forecast(
     situation: LossSituation, answers: Sequence[Estimate | NoEstimate], aiding: AidingSettings, protection: ProtectionSettings
 ) -> VehicleReadiness:
-    """Return the readiness of a vehicle of which an estimator predicts `answers`, from the loss up to the horizon."""
+    """Return the readiness of a vehicle, from what an estimator predicts after a loss of GPS.
+
+    `answers` are the predictions from the loss up to the horizon, in order of time.
+    """
     begin_s = answers[0].at_s
     policy = FixPolicy(aiding, begin_s)
     # At the loss itself no range has been used yet.
@@ -127,7 +133,10 @@ def _protected(
 def _fault_level(
     situation: LossSituation, answer: Estimate | NoEstimate, begin_s: float, settings: ProtectionSettings
 ) -> FaultLevel | None:
-    """Adjust the ranges under all hypotheses of fault where the vehicle and its peers are at the time of an answer."""
+    """Return the fault level at the time of an answer; None without an estimate or a range.
+
+    The ranges are adjusted under all fault hypotheses, with the vehicle and its peers where they are then.
+    """
     if not isinstance(answer, Estimate) or not situation.epoch.residuals:
         return None
     separation = SolutionSeparation(_at(situation, situation.epoch, answer, begin_s))
@@ -135,7 +144,10 @@ def _fault_level(
 
 
 def _expected_report(situation: LossSituation, answer: Estimate | NoEstimate, begin_s: float) -> IntegrityReport:
-    """Return what integrity would add to the covariance of an answer: for noise beyond the stated, and for possible faults."""
+    """Return the integrity report that is expected at the time of an answer.
+
+    It has the inflation of the covariance, for noise beyond the stated one and for possible faults.
+    """
     if not isinstance(answer, Estimate) or not situation.epoch.residuals:
         return IntegrityReport()
     vehicle, as_stated = situation.vehicle, _at(situation, situation.stated_epoch, answer, begin_s)
@@ -168,9 +180,11 @@ def _moved(situation: LossSituation, node: int, place: Vector3, span_s: float) -
 
 
 def _is_told(answers: Sequence[Estimate | NoEstimate]) -> bool:
-    """Whether the size of the bound is told: the geometry hardly changes on the way, whose turns to come nobody knows.
+    """Return whether the forecast states how large the later bound is.
 
-    In one line noise decides, and the filter remembers it for a while; so it does with one node, along the circle around it.
+    It does where the geometry hardly changes on the way. Otherwise the bound depends on turns to come, which nobody knows. With
+    peers in one line, noise decides, and the filter remembers that noise for a while. With one node the same is true along the
+    circle around it.
     """
     hdops = [_hdop(answer) for answer in answers[1:]]
     known = [hdop for hdop in hdops if hdop is not None]

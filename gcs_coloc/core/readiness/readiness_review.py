@@ -105,7 +105,11 @@ class _Followed:
 
 @dataclass(slots=True)
 class _Sortie:
-    """A vehicle since it was armed: its altitude then, whether it has left the ground, and whether it would have been located."""
+    """One sortie of a vehicle, from when it was armed.
+
+    `armed_alt_m` is its altitude at that time. `is_flying`: it has left the ground. `was_located`: it would have been located
+    without GPS, at some time of the sortie.
+    """
 
     armed_alt_m: float
     is_flying: bool = False

@@ -1,4 +1,7 @@
-"""The readiness of one vehicle: its state, what limits it, and what it would have without GPS, now and half a minute later."""
+"""The readiness of one vehicle: would it be located if its GPS failed, and what limits that?
+
+What it would have without GPS is stated for now and for half a minute later.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,10 @@ IN_LINE_HDOP = 5.0
 
 
 class ReadinessState(StrEnum):
-    """Whether a healthy vehicle would be located if its GPS failed now. Its value stands in messages and recordings."""
+    """Whether a healthy vehicle would be located if its GPS failed now.
+
+    Its value stands in messages and recordings.
+    """
 
     READY = "ready"
     """It would have a fix for the next half minute, and the ranges test every receiver that it rests on."""
