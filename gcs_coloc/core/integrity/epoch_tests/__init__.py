@@ -1,1 +1,1 @@
-"""Tests of single epochs: do reported positions and ranges agree, which fault explains that they do not?"""
+"""Tests of single epochs: do reported positions and ranges agree, and if not, which fault is it?"""

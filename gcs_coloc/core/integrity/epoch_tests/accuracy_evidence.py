@@ -27,15 +27,19 @@ _LEAST_LOG_ODDS = 2.0 * _FIRST_LOG_ODDS
 
 @dataclass(slots=True)
 class AccuracyEvidence:
-    """Twice the log of the odds that positions err twice as much as the noise in force says, and when the next epoch counts."""
+    """The odds that positions err twice as much as the noise in force says.
+
+    `log_odds` is twice their logarithm. `due_s` is when the next epoch counts.
+    """
 
     log_odds: float = _FIRST_LOG_ODDS
     due_s: float = -inf
 
     def update(self, epoch: Epoch, noise: NoiseModel, levels: SignificanceLevels, correlation_time_s: float) -> NoiseModel:
-        """Add an epoch as stated, if it is due. Return the noise, with coarser positions where these are clearly likelier.
+        """Add an epoch as stated, if it is due; return the noise, with coarser positions if likelier.
 
-        Where something else explains the epoch better, it is no evidence for coarser positions.
+        Positions become coarser only where that is clearly likelier. Where something else explains the epoch better, it is no
+        evidence for coarser positions.
         """
         if epoch.at_s < self.due_s or not epoch.residuals:
             return noise

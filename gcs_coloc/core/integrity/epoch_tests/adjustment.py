@@ -1,4 +1,6 @@
-"""Least-squares adjustment of position priors to ranges, at one epoch or two, and the effect of each possible fault.
+"""Least-squares adjustment of position priors to ranges, and the effect of each possible fault.
+
+It adjusts one epoch, or two epochs together.
 
 Model, linearised at the priors: r = u.(d_i - d_j) + v, with r the range residual of device i to peer j, u the unit vector from j
 to i, d the correction of a vehicle's position, v noise. In matrices r = H d + v, cov(v) = R, cov(d) = S; S is without bound for
@@ -46,9 +48,10 @@ def adjust(now: Epoch, pasts: Sequence[Past]) -> list[Adjustment]:
 
 
 class Adjustment:
-    """One adjustment. States are the corrections, 3 per vehicle of the epoch's arrays, those of the present epoch first.
+    """One adjustment of position priors to ranges.
 
-    `residuals` are those of the present epoch that take part, `vehicles` their vehicles.
+    States are the corrections, 3 per vehicle of the epoch's arrays, those of the present epoch first. `residuals` are those of
+    the present epoch that take part, `vehicles` their vehicles.
     """
 
     def __init__(self, now: Epoch, solution: NormalEquations, number: int) -> None:
@@ -73,7 +76,10 @@ class Adjustment:
         return float(gains[self._number, at]), int(ranks[self._number, at])
 
     def position_information(self, vehicle: int) -> FloatArray:
-        """Information (2, 2) on a horizontal fault b of a reported position, 1/m^2: b adds b' I b to the statistic."""
+        """Return the information (2, 2) on a horizontal fault of a reported position, 1/m^2.
+
+        A fault b adds b' I b to the statistic, with I the information.
+        """
         return np.asarray(self._solution.position_information[self._number, self._index[vehicle]])
 
     def position_effect(self, vehicle: int) -> FaultEffect:

@@ -1,4 +1,7 @@
-"""The fleet at one time, as the tests see it: position priors, range residuals, and the history of such epochs."""
+"""An epoch: the fleet at one time as the tests see it, and the history of such epochs.
+
+An epoch has position priors and range residuals.
+"""
 
 from __future__ import annotations
 
@@ -61,14 +64,17 @@ class RangeResidual(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class EpochArrays:
-    """An epoch's residuals and vehicles as arrays, in the order of `pairs` and of `vehicles`; lengths in m, variances in m^2.
+    """The residuals and vehicles of an epoch as arrays.
+
+    They are in the order of `pairs` and of `vehicles`. Lengths are in m, variances in m^2.
 
     `index` maps a vehicle to its place in `vehicles`. `ends` (2, residuals) are the indices of a residual's two vehicles,
-    `baselines_m` (residuals, 3) the vectors from the second to the first, `unit_vectors` their directions.
-    `biases_m` are the 1-sigmas of all that lasts, `devices_m` of what is of the devices in it.
-    `distance_times_sigma_m2` is the least product of a residual's distance and its sigma. States are the
-    east, north and up corrections of each vehicle in turn: `sqrt_information` (3 vehicles,) is the root of their prior
-    information in 1/m, `has_prior` whether there is any, `states_without_prior` the indices where there is none.
+    `baselines_m` (residuals, 3) the vectors from the second to the first, `unit_vectors` their directions. `biases_m` are the
+    1-sigmas of all errors that last, `devices_m` those of the part that the devices have. `distance_times_sigma_m2` is the
+    least product of a residual's distance and its sigma.
+
+    States are the east, north and up corrections of each vehicle in turn. `sqrt_information` (3 vehicles,) is the root of their
+    prior information in 1/m, `has_prior` whether there is any, `states_without_prior` are the indices where there is none.
     """
 
     pairs: tuple[tuple[int, int], ...]
@@ -100,9 +106,10 @@ class EpochArrays:
 
 @dataclass(frozen=True)
 class Epoch:
-    """The fleet at one time. Every vehicle of a residual has a prior, and no two priors of a residual coincide.
+    """The fleet at one time: position priors and range residuals.
 
-    The ranges in it were measured between `began_s` and `ended_s`; two epochs are independent where these do not overlap.
+    Every vehicle of a residual has a prior, and no two priors of a residual coincide. The ranges in it were measured between
+    `began_s` and `ended_s`; two epochs are independent where these do not overlap.
     """
 
     at_s: float
@@ -185,7 +192,11 @@ class EpochHistory:
         self._epochs.append(epoch)
 
     def pasts(self, at_s: float) -> dict[float, Past]:
-        """The epochs to compare one at this time with, by interval: none for 0, else one near that interval before, if any."""
+        """Return the earlier epochs to compare an epoch at this time with, by interval in s.
+
+        Interval 0 is the present alone, without an earlier epoch. An interval is missing where no epoch is near that long
+        before.
+        """
         pasts: dict[float, Past] = {0.0: (None, 0.0)}
         for interval_s in self._intervals_s:
             earlier = self._nearest(at_s - interval_s)

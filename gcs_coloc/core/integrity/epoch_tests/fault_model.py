@@ -1,4 +1,6 @@
-"""Adjustment of ranges to reported positions by Gauss-Newton, each fault hypothesis with its fault as further unknowns.
+"""Adjustment of ranges to reported positions by Gauss-Newton, for each fault hypothesis.
+
+The fault of a hypothesis is a further unknown.
 
     z = |p_i + d_i - p_j - d_j| + C b + v,    d = e + B b
 
@@ -46,9 +48,10 @@ class FaultKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class AdjustedHypothesis:
-    """One hypothesis, adjusted: `vehicles` are the faulty ones, the pair, or the device's owner; `size_m` of the fault.
+    """One fault hypothesis after its adjustment to the ranges.
 
-    `statistic` is that of the rest, `cost` the same with the penalty of the hypothesis; `degrees_of_freedom` are those left.
+    `vehicles` are the faulty ones, the pair, or the device's owner. `size_m` is the size of the fault. `statistic` is that of
+    the rest, `cost` is the same with the penalty of the hypothesis. `degrees_of_freedom` are those that are left.
     """
 
     kind: FaultKind
@@ -61,7 +64,11 @@ class AdjustedHypothesis:
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """`moved` (epochs, vehicles) is 1 for those with the common offset; `lengthened` (rows, 2) multiplies two unknown lengths."""
+    """One fault hypothesis: which positions have a common offset, or which ranges are too long.
+
+    `moved` (epochs, vehicles) is 1 for those with the common offset. `lengthened` (rows, 2) has the factors of two unknown
+    lengths, one of each epoch.
+    """
 
     kind: FaultKind
     vehicles: tuple[int, ...]
@@ -165,7 +172,10 @@ class FaultModel:
         return np.asarray(weights - WA @ np.linalg.solve(A.T @ WA + MIN_INFORMATION_PER_M2 * np.eye(A.shape[1]), WA.T))
 
     def _starts(self, moved: FloatArray, lengthened: FloatArray, weights: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
-        """States to start from (starts, states), and the hypothesis of each: no fault, and the two best of a ring of offsets."""
+        """Return the states (starts, states) to start from, and the hypothesis of each.
+
+        Each hypothesis starts with no fault. One with a large residual also starts from the two best of a ring of offsets.
+        """
         projector = self._without_free(weights, self._jacobian(self._baselines_m))
         innovations = np.abs(self._ranges_m - np.linalg.norm(self._baselines_m, axis=1))[: self.rows]
         crossing = moved[:, 0, self._ends[0]] != moved[:, 0, self._ends[1]]
@@ -241,7 +251,10 @@ class FaultModel:
 
 
 def _two_times(own: Sequence[FloatArray], shared: FloatArray) -> FloatArray:
-    """The covariance of some variables at one time or two, uncorrelated but with themselves at the other time."""
+    """Return the covariance of some variables at one time or at two.
+
+    Each variable is correlated with itself at the other time, and with no other variable.
+    """
     if len(own) == 1:
         return np.diag(own[0])
     return np.block([[np.diag(own[0]), np.diag(shared)], [np.diag(shared), np.diag(own[1])]])

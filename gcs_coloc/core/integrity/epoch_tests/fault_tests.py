@@ -1,4 +1,6 @@
-"""Global and local tests of an adjustment: do ranges and reported positions agree, and what does a fault move?
+"""Global and local tests of an adjustment: do ranges and reported positions agree?
+
+Also here: how far a fault moves a vehicle without prior (solution separation).
 
 Notation: r residuals, V their covariance under the null hypothesis, so that the statistic is T = r' V^-1 r. Without a fault T is
 chi-square with as many degrees of freedom as there are residuals beyond the unknowns.
@@ -51,7 +53,10 @@ class FaultTestResult:
     fit: Adjustment
 
     def offset_m(self, vehicle: int) -> FloatArray:
-        """The correction (2,) of a vehicle without prior if nobody is faulty, as far as the ranges determine it."""
+        """Return the correction (2,) of a vehicle without prior if nobody is faulty, in m.
+
+        In directions that the ranges hardly determine it is reduced.
+        """
         return self.fit.placed_offset_m(vehicle, WELL_PLACED_SIGMA_M)
 
 

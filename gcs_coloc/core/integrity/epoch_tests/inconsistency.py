@@ -1,8 +1,9 @@
-"""The explanation of an inconsistency of ranges and reported positions: one fault, several pairs that are off, or more noise.
+"""The explanation of an inconsistency: one fault, several pairs that are off, or more noise.
 
-A fault of receivers is left to the tests over time (`range_consistency`). If several pairs that are off, or noise of all that is
-larger than stated, are likelier, or if only a device explains it, nobody is at fault: the pairs are left out, or the noise is
-enlarged, and with it every protection level.
+The inconsistency is one of ranges and reported positions. A fault of receivers is left to the tests over time
+(`range_consistency`). Several pairs that are off, or more noise than stated everywhere, may be likelier than such a fault, or
+only a device may explain the inconsistency. Then nobody is at fault: the pairs are left out, or the noise is enlarged, and with
+it every protection level.
 """
 
 from __future__ import annotations
@@ -22,11 +23,13 @@ _PRESENT: Past = (None, 0.0)
 def explain_inconsistency(
     whole: Epoch, result: FaultTestResult | None, noise: NoiseModel, levels: SignificanceLevels, doubtful: Collection[int]
 ) -> NoiseModel:
-    """Return the noise with which an epoch as stated is consistent, or `noise` as it is where it is not clearly the likeliest.
+    """Return the noise with which an epoch is consistent, or `noise` if that is not clearly likelier.
 
-    A fault that is nearly as likely is not ruled out, so the tests over time go on: two receivers that are off, each its own way,
-    contradict all others as noise does, and enlarged noise would hide them. `result` is that of the epoch's test alone,
-    with `noise`; None where there is no redundancy. `doubtful` are the vehicles whose receivers speak against themselves.
+    `whole` is the epoch with its noise as stated. `result` is that of the epoch's test alone, with `noise`; None where there is
+    no redundancy. `doubtful` are the vehicles whose receivers speak against themselves.
+
+    A fault that is nearly as likely is not ruled out, so the tests over time go on. Two receivers that are off, each its own
+    way, contradict all others as noise does, and enlarged noise would hide them.
     """
     if result is None or result.is_consistent:
         return noise

@@ -1,6 +1,7 @@
-"""Isolation: which faults explain that ranges and reported positions contradict each other, and who is in all of them?
+"""Isolation: which faults explain a contradiction of ranges and positions, and who is in all?
 
-Detection (`fault_tests`) needs one test that fails; isolation needs that every other explanation is clearly worse.
+The positions are those that vehicles report. Detection (`fault_tests`) needs one test that fails; isolation needs that every
+other explanation is clearly worse.
 
 Hypotheses: every subset of up to half of the reporting vehicles is off by one common horizontal offset (spoofed alike); a pair's
 ranges are off; a device's ranges are all too long by one length or by one factor, those that it measured or all of its vehicle.
@@ -74,12 +75,15 @@ class Isolation:
 
     @property
     def is_of_one_pair(self) -> bool:
-        """Whether the best explanation is that the ranges of one pair are off, and every other one is a fault of ranges too."""
+        """Whether the best explanation is one pair that is off, and every other one is a range fault too."""
         return self.is_range_fault and self.plausible[0].kind is FaultKind.PAIR
 
     @property
     def isolated(self) -> dict[int, float]:
-        """By vehicle the size of its fault, m: the vehicles whose position is off in every plausible explanation."""
+        """The vehicles whose position is off in every plausible explanation, and the size of that in m.
+
+        The size is that of the best explanation. Vehicles in `not_alone` are left out.
+        """
         if not self.plausible:
             return {}
         common = frozenset.intersection(*(_faulty(each) for each in self.plausible)) - self.not_alone
@@ -122,9 +126,9 @@ class Isolation:
 
 @dataclass(slots=True)
 class IsolationPersistence:
-    """How many independent samples of one interval in a row isolated a vehicle, and had it as a possible one.
+    """How many samples in a row have isolated each vehicle, and have held it possible.
 
-    `sampled_until_s` is the end of the last sample's window.
+    They are independent samples of one interval. `sampled_until_s` is the end of the last sample's window.
     """
 
     isolated: Counter[int] = field(default_factory=Counter)
@@ -190,7 +194,10 @@ def _with_errors_anew(epoch: Epoch) -> Epoch:
 
 
 def _change_m(now: Epoch, past: Past, model: FaultModel, vehicle: int, levels: SignificanceLevels) -> float:
-    """By how much the offset of a vehicle has changed; 0 where one offset for both epochs fits nearly as well as one for each."""
+    """Return by how much the offset of a vehicle has changed since the earlier epoch, in m.
+
+    It is 0 where one offset for both epochs fits nearly as well as one for each, or where there is no earlier epoch.
+    """
     then, correlation = past
     if then is None:
         return 0.0
@@ -204,9 +211,10 @@ def _change_m(now: Epoch, past: Past, model: FaultModel, vehicle: int, levels: S
 
 
 def cost_of_two_receivers(now: Epoch, past: Past, candidates: Sequence[int], *, sound: int | None = None) -> float:
-    """Return the least cost of the explanation that two of the candidates are off, each its own way; `sound` is none of them.
+    """Return the least cost of the explanation that two receivers are off, each its own way.
 
-    Infinite where two are a majority of all: that the majority is right is assumed.
+    They are two of the candidates, and `sound` is none of them. Infinite where two are a majority of all: that the majority is
+    right is assumed.
     """
     then, correlation = past
     others = [vehicle for vehicle in candidates if vehicle != sound]
@@ -227,7 +235,10 @@ def _faulty(explanation: AdjustedHypothesis) -> frozenset[int]:
 
 
 def _with_usual_devices(explanation: AdjustedHypothesis, levels: SignificanceLevels) -> AdjustedHypothesis:
-    """The explanation, likelier beforehand where a device is off by a usual length and the rest is consistent."""
+    """Return the explanation, with a lower cost if it is a usual error of a device.
+
+    A device that is off by a usual length is likelier beforehand. The rest must be consistent.
+    """
     dof = explanation.degrees_of_freedom
     is_usual = explanation.kind in _OF_DEVICES and explanation.size_m <= _USUAL_DEVICE_M
     if not is_usual or (dof and explanation.statistic > chi2_limit(dof, levels.rest)):
@@ -236,7 +247,10 @@ def _with_usual_devices(explanation: AdjustedHypothesis, levels: SignificanceLev
 
 
 def _device_m(found: Sequence[AdjustedHypothesis], levels: SignificanceLevels) -> float:
-    """By how much a device is off where the ranges tell it from every other fault, none likelier beforehand; else 0."""
+    """Return by how much a device is off, in m; 0 where it may be another fault.
+
+    The ranges must tell it from every other fault, with none likelier beforehand.
+    """
     best = found[0]
     others = min((each.cost for each in found if each.kind not in _OF_DEVICES), default=inf)
     is_clear = best.kind in _OF_DEVICES and best.degrees_of_freedom > 0 and others > best.cost + levels.margin
@@ -254,7 +268,10 @@ def _penalty(hypothesis: Hypothesis, troubled: frozenset[int]) -> float:
 
 
 def _candidates(now: Epoch, model: FaultModel) -> list[int]:
-    """The reporting vehicles that may be at fault, by their place in the arrays; of many those that explain most."""
+    """Return the reporting vehicles that may be at fault, by their place in the arrays.
+
+    Of more than `_MAX_CANDIDATES` vehicles these are the ones whose fault explains most.
+    """
     reporting = [at for at, vehicle in enumerate(model.arrays.vehicles) if not now.priors[vehicle].no_prior]
     if len(reporting) <= _MAX_CANDIDATES:
         return reporting
@@ -263,7 +280,10 @@ def _candidates(now: Epoch, model: FaultModel) -> list[int]:
 
 
 def _hypotheses(now: Epoch, model: FaultModel, candidates: Sequence[int]) -> list[Hypothesis]:
-    """All hypotheses: of faults in the present epoch, and where there is an earlier one, of faults in both."""
+    """Return all fault hypotheses of an epoch.
+
+    They are faults in the present epoch, and where there is an earlier one, also faults in both.
+    """
     arrays = model.arrays
     found: list[Hypothesis] = []
     nowhere, nothing = np.zeros((model.epochs, model.vehicles)), np.zeros((model.epochs * model.rows, 2))

@@ -1,4 +1,6 @@
-"""How much worse ranges, heights and positions are in this fleet than they state: the variance components of the tests.
+"""Noise model: how much worse ranges, heights and positions are in a fleet than they state.
+
+Its numbers are the variance components of the tests.
 
 A single fault is explained in `isolation`. Where every device has a lasting error, or every barometer, no single fault explains,
 and nobody is at fault more than the others: the noise that the tests assume is too small. One component of it is then enlarged
@@ -98,7 +100,10 @@ class NoiseModel:
         )
 
     def after(self, elapsed_s: float) -> NoiseModel:
-        """Return what is left of it after some time, without pairs that are off; what still acts is found anew."""
+        """Return what is left of the model after some time (s), without the pairs that are off.
+
+        What still acts is found anew.
+        """
         kept = exp(-elapsed_s / _FORGOTTEN_S)
         left = NoiseModel(
             self.range_bias_m * kept,
@@ -118,13 +123,19 @@ class NoiseModel:
         yield from (replace(self, position_factor=factor) for factor in _POSITION_FACTORS if factor > self.position_factor)
 
     def with_device_error(self, size_m: float) -> NoiseModel | None:
-        """Return the model in which a device's error of this size is usual; None where it is already, or with no model."""
+        """Return the model in which a device error of this size (m) is usual.
+
+        None where it is usual already, or where no model has it.
+        """
         least_m = size_m / _USUAL_SIGMAS
         enough = (replace(self, device_bias_m=bias_m) for bias_m in _RANGE_BIASES_M if bias_m >= least_m)
         return next(enough, None) if least_m > self.device_bias_m else None
 
     def with_coarser_positions(self) -> NoiseModel | None:
-        """Return the model with twice the factor on the positions; None where that is more than any that counts."""
+        """Return the model with twice the factor on positions; None where that is too large.
+
+        Too large is more than the largest factor that counts.
+        """
         factor = 2.0 * self.position_factor
         return replace(self, position_factor=factor) if factor <= _POSITION_FACTORS[-1] else None
 
@@ -184,14 +195,20 @@ def restricted_likelihood(epoch: Epoch) -> Likelihood:
 
 
 class LikeliestNoise(NamedTuple):
-    """A noise model; `cost` is twice its negative log likelihood, comparable with those of `isolation` under the present one."""
+    """A noise model and its cost.
+
+    `cost` is twice its negative log likelihood. It is comparable with the costs of `isolation` under the present model.
+    """
 
     model: NoiseModel
     cost: float
 
 
 def likeliest_noise(epoch: Epoch, present: NoiseModel, levels: SignificanceLevels) -> LikeliestNoise | None:
-    """Return the likeliest model larger than the present one with which an epoch as stated is consistent; None where none is."""
+    """Return the likeliest larger model with which an epoch is consistent; None where none is.
+
+    A larger model has one component of `present` enlarged. The noise of the epoch is as stated.
+    """
     base = restricted_likelihood(_as_tested(present.apply(epoch)))
     found: list[LikeliestNoise] = []
     for model in present.larger():
@@ -208,10 +225,10 @@ def _as_tested(epoch: Epoch) -> Epoch:
 
 
 def clearly_smaller_noise(epoch: Epoch, present: NoiseModel, levels: SignificanceLevels) -> NoiseModel | None:
-    """Return the likeliest smaller model with which an epoch as stated is consistent and clearly likelier than with `present`.
+    """Return the likeliest smaller model, if it is clearly likelier than `present`; else None.
 
-    Pairs that are off with it have `_PAIR_OFF_M` and the penalty of further pairs. None where there is no such model. Ranges that
-    test nothing are as likely with either.
+    The noise of the epoch is as stated. With the smaller model the epoch must be consistent, without some pairs that are off.
+    Those pairs have `_PAIR_OFF_M` and the penalty of further pairs. Ranges that test nothing are as likely with either model.
     """
     limit = restricted_likelihood(present.apply(epoch)).cost - levels.margin
     found: list[LikeliestNoise] = []

@@ -24,7 +24,11 @@ _CURVATURE_SHARE = 0.05
 
 
 class NormalEquations:
-    """The adjustments of one epoch with several earlier ones. `used`: by test the numbers of the residuals that take part."""
+    """The adjustments of one epoch with several earlier ones.
+
+    Each of `pasts` makes one test: with an earlier epoch, or of the present one alone. `used` has for each test the numbers of
+    the residuals that take part.
+    """
 
     def __init__(self, now: EpochArrays, pasts: Sequence[Past]) -> None:
         tests, rows = len(pasts), len(now.pairs)
@@ -77,7 +81,10 @@ class NormalEquations:
         self._weights[test, 0, 1, mine] = self._weights[test, 1, 0, mine] = -shared_m2 / determinant
 
     def _solve_by_newton(self) -> FloatArray:
-        """Solve, and again where a vehicle without prior moved far; return the variances of the states without prior, m^2."""
+        """Solve by Newton's method; return the variances of the states without prior, m^2.
+
+        It solves again where a vehicle without prior has moved so far that its ranges bend.
+        """
         vehicles, tests = len(self._now.vehicles), len(self._weights)
         # A move of d metres bends a range of r metres by d^2 / 2r.
         straight_m2 = 2.0 * _CURVATURE_SHARE * self._now.distance_times_sigma_m2
@@ -138,9 +145,10 @@ class NormalEquations:
         return np.asarray(self._columns[:, np.arange(len(without_prior)), without_prior])
 
     def first_linear(self, test: int, at: int) -> tuple[FloatArray, FloatArray]:
-        """The horizontal correction (2,), m, and covariance (2, 2), m^2, of a vehicle without prior in the present epoch.
+        """Return the first linear solution of a vehicle without prior in the present epoch.
 
-        Linearised where it is said to be, before any step of Newton's method. `at` is its number in the epoch's arrays.
+        It is the horizontal correction (2,), m, and its covariance (2, 2), m^2. It is linearised where the vehicle is said to
+        be, before any further step of Newton's method. `at` is the vehicle's number in the epoch's arrays.
         """
         corrections_m, columns = self._first
         states = slice(3 * at, 3 * at + 2)
@@ -154,7 +162,10 @@ class NormalEquations:
 
     @cached_property
     def position_effects(self) -> tuple[FloatArray, NDArray[np.intp], FloatArray]:
-        """Gain and rank (tests, vehicles) and size (tests, vehicles, 2), m, of a horizontal fault of each vehicle."""
+        """The effect of a horizontal fault of each vehicle: gain, rank and size.
+
+        Gain and rank are (tests, vehicles), the size is (tests, vehicles, 2) in m.
+        """
         score = self._g - (self.information @ self.corrections_m[..., np.newaxis])[..., 0]
         inverses, ranks = pseudo_inverse(self.position_information)
         scores = score[:, self._horizontal]
@@ -177,7 +188,10 @@ class NormalEquations:
         return (3 * np.arange(len(self._now.vehicles)))[:, np.newaxis] + np.arange(2)
 
     def range_bias(self, test: int, rows: NDArray[np.intp]) -> tuple[float, float, FloatArray]:
-        """For one length in some residuals, C their indicator: C' W C, C' W r and H' W C (states,), with W = R^-1."""
+        """Return the terms of the normal equations for one unknown length in some residuals.
+
+        With C the indicator of these residuals of the present epoch and W = R^-1 they are C' W C, C' W r and H' W C (states,).
+        """
         weights = self._weights[test, :, 0, rows].T
         c = (self._transposed[test][:, :, rows] @ weights[..., np.newaxis])[..., 0]
         return float(weights[0].sum()), float(self._weighted_m[test, 0, rows].sum()), c.reshape(-1)
@@ -198,7 +212,10 @@ def _prior_information(now: EpochArrays, earlier: FloatArray, correlations: Sequ
 
 
 def _common_residuals(now: EpochArrays, then: EpochArrays) -> tuple[list[int], list[int]]:
-    """The numbers, in each of two epochs, of the residuals that both have between vehicles with a prior in both or in neither."""
+    """Return the numbers, in each of two epochs, of the residuals that both have.
+
+    Each vehicle of such a residual has a prior in both epochs or in neither.
+    """
     earlier = {pair: number for number, pair in enumerate(then.pairs)}
     as_before = {v for v in now.vehicles if v in then.index and now.no_prior[now.index[v]] == then.no_prior[then.index[v]]}
     mine = [n for n, pair in enumerate(now.pairs) if pair in earlier and as_before.issuperset(pair)]
@@ -206,7 +223,10 @@ def _common_residuals(now: EpochArrays, then: EpochArrays) -> tuple[list[int], l
 
 
 def pseudo_inverse(A: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
-    """The pseudo-inverses of symmetric (..., 2, 2) matrices, and their ranks; directions without information are left out."""
+    """Return the pseudo-inverses of symmetric matrices (..., 2, 2), and their ranks.
+
+    Directions without information are left out.
+    """
     a, b, d = A[..., 0, 0], A[..., 0, 1], A[..., 1, 1]
     mean, radius = eigenvalue_mean_and_radius(a, b, d, np.hypot)
     larger, smaller = mean + radius, mean - radius

@@ -30,7 +30,10 @@ Pair = tuple[int, int]
 
 
 class PairOutliers(NamedTuple):
-    """Pairs that are off at once; `cost` is twice the negative log likelihood, comparable with those of `isolation`."""
+    """Pairs whose ranges are off at once, and the cost of that explanation.
+
+    `cost` is twice the negative log likelihood, comparable with the costs of `isolation`.
+    """
 
     pairs: frozenset[Pair]
     cost: float
@@ -44,7 +47,10 @@ def without_pairs(epoch: Epoch, pairs: Collection[Pair]) -> Epoch:
 
 
 def pair_outliers(epoch: Epoch, levels: SignificanceLevels) -> PairOutliers | None:
-    """Return the pairs without which an epoch is consistent; None where fewer than half of them do not suffice."""
+    """Return the pairs without which an epoch is consistent; None where there is no such set.
+
+    Fewer than half of the pairs may be left out, and the rest must keep redundancy.
+    """
     off: set[Pair] = set()
     pairs = {unordered(residual.pair) for residual in epoch.residuals}
     while True:
@@ -64,9 +70,11 @@ def pair_outliers(epoch: Epoch, levels: SignificanceLevels) -> PairOutliers | No
 
 
 def cost_of_two_pairs(now: Epoch, past: Past, vehicle: int) -> float:
-    """Return the least cost of the explanation that the ranges of two pairs of a vehicle are off, where pairs have been of late.
+    """Return the least cost of the explanation that two pairs of a vehicle are off.
 
-    They are not less likely then than one faulty receiver: pairs are off within minutes, receivers hardly in a year.
+    It is an explanation where pairs have been off of late. Two pairs are then not less likely than one faulty receiver: pairs
+    are off within minutes, receivers hardly in a year.
+
     `past` is an earlier epoch, in which the same pairs are left out.
     """
     then, correlation = past
@@ -79,9 +87,10 @@ def cost_of_two_pairs(now: Epoch, past: Past, vehicle: int) -> float:
 
 
 def cost_of_their_pairs(now: Epoch, past: Past, vehicles: Collection[int]) -> float:
-    """Return the cost of the explanation that all pairs of some vehicles with others are off, each by a length of its own.
+    """Return the cost of the explanation that all pairs of some vehicles with others are off.
 
-    Where each of the vehicles is ranged by one other alone, these are as many unknowns as one offset of two of them has.
+    Each pair is off by a length of its own. Where each of the vehicles is ranged by one other alone, these are as many unknowns
+    as one offset of two of them has.
     """
     then, correlation = past
     pairs = {unordered(r.pair) for r in now.residuals if (r.from_vehicle in vehicles) != (r.to_vehicle in vehicles)}
