@@ -1,1 +1,1 @@
-"""Reported positions and the ranges between them, each tested against the other, and who is no longer believed."""
+"""Integrity: tests reported positions and ranges against each other, and excludes faulty vehicles."""

@@ -63,10 +63,10 @@ class Detection:
         self.vehicles = frozenset(self._monitored_until_s)
 
     def also(self, in_use: Collection[int], margin: float) -> dict[frozenset[int], float] | None:
-        """Return the receivers in use that may be off besides `vehicles`, or instead, each set with its odds at most.
+        """Return the receivers in use that may be faulty besides `vehicles`, each set with its odds.
 
-        Nothing shows that they are. What was ruled out is so by the margin of the isolation (twice a log likelihood) and no more.
-        None where no fault is detected.
+        They may also be faulty instead. Nothing shows that they are. What was ruled out is so by the margin of the isolation
+        (twice a log likelihood) and no more: the odds are the most that this leaves. None where no fault is detected.
         """
         if not self.vehicles:
             return None

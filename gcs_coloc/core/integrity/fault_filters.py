@@ -1,4 +1,6 @@
-"""Multiple-model filters (MMAE) of one denied vehicle: which peer is faulty since when, and how far is the vehicle displaced?
+"""Fault filters of one denied vehicle: which peer is faulty, and how far is the vehicle displaced?
+
+They are multiple-model filters (MMAE).
 
 One Kalman filter per hypothesis: nobody is faulty, each peer is, the vehicle's own ranging device is. State of each filter:
 - the vehicle's displacement from its estimate, east and north (m), a random walk;
@@ -87,10 +89,11 @@ class LineOfSightResidual:
 
 @dataclass(frozen=True, slots=True)
 class FaultHypothesis:
-    """One faulty vehicle: its probability, and the second moment of the vehicle's displacement if it is faulty.
+    """One fault hypothesis: its probability, and how far the fault displaces the denied vehicle.
 
-    `faulty` is None for the vehicle's own ranging device. `separation_m2` is the east, east-north and north element, m^2, of the
-    solution separation: this filter's displacement minus that of the filter without fault.
+    `faulty` is the faulty vehicle, None for the denied vehicle's own ranging device. `separation_m2` is the second moment of
+    the displacement if the hypothesis is true: the east, east-north and north element, m^2, of the solution separation. That is
+    this filter's displacement minus that of the filter without fault.
     """
 
     faulty: int | None
@@ -99,7 +102,10 @@ class FaultHypothesis:
 
 
 class FaultFilters:
-    """The filters of one denied vehicle, in this order: nobody faulty, each of `peers`, the vehicle's own device."""
+    """The fault filters of one denied vehicle.
+
+    Their order is: nobody faulty, each of `peers`, the vehicle's own device.
+    """
 
     def __init__(self, settings: FaultFilterSettings | None = None) -> None:
         self.settings = settings if settings is not None else FaultFilterSettings()
@@ -244,7 +250,10 @@ class FaultFilters:
         return H
 
     def _reset_diverged(self, H: FloatArray, z: list[float], r: list[float]) -> None:
-        """Make the displacement of a filter unknown that explains less than half of the residuals, several steps in a row."""
+        """Make the displacement unknown again in each filter that has diverged.
+
+        A filter has diverged if it explains less than half of the residuals, several steps in a row.
+        """
         columns = H.transpose(0, 2, 1)
         predicted = self._A @ columns
         variance = (columns * predicted[:, 1:]).sum(axis=1) + r
@@ -256,7 +265,10 @@ class FaultFilters:
                 self._covariances[m, [0, 1], [0, 1]] = _UNKNOWN_M2
 
     def _correct(self, h: FloatArray, z: float, r: float) -> float:
-        """Correct all filters with one residual and update their probabilities; return its mean normalised innovation squared."""
+        """Correct all filters with one residual, and update their probabilities.
+
+        Return the mean normalised innovation squared of the filters, weighted with their probabilities.
+        """
         s, log_probability = self.settings, self._log_probability
         Ah = self._A @ h[:, :, np.newaxis]
         Ph = Ah[:, np.newaxis, 1:, 0]

@@ -1,4 +1,6 @@
-"""Fault monitor of the peers that range a denied vehicle: detected faults, and how far each may have displaced the vehicle.
+"""Fault monitor of the peers that range denied vehicles: which of them are faulty?
+
+It also bounds how far each possible fault may have displaced the denied vehicle.
 
 All ranges between a denied vehicle and one peer since the last step make one `LineOfSightResidual`; `FaultFilters` has the
 hypotheses.
@@ -55,7 +57,10 @@ class FaultMonitorSettings:
 
 @dataclass(slots=True)
 class _PeerRanges:
-    """The ranges to one peer since the last step: residuals and stated sigmas (m), priors and baseline (m) of the newest."""
+    """The ranges to one peer since the last step.
+
+    Residuals and stated sigmas (m) are those of all ranges, priors and baseline (m) those of the newest.
+    """
 
     residuals_m: list[float]
     sigmas_m: list[float]
@@ -65,7 +70,10 @@ class _PeerRanges:
 
 
 class FaultMonitor:
-    """The fault filters of one fleet's denied vehicles. Add ranges with the priors of both ends, then call `step`."""
+    """The fault monitor of one fleet: fault filters for each denied vehicle.
+
+    Add ranges with the priors of both ends, then call `step`.
+    """
 
     def __init__(self, settings: FaultMonitorSettings | None = None) -> None:
         self.settings = settings if settings is not None else FaultMonitorSettings()
@@ -73,7 +81,10 @@ class FaultMonitor:
         self._ranges: dict[int, dict[int, _PeerRanges]] = {}
 
     def add_range(self, m: RangeMeasurement, a: PositionPrior, b: PositionPrior) -> None:
-        """Add a range with the priors of both ends at its time. Only a range between one vehicle with and one without counts."""
+        """Add a range with the priors of both ends at its time.
+
+        Only a range between one vehicle with a prior and one without counts.
+        """
         if a.no_prior == b.no_prior:
             return
         vehicle, peer, own, prior = (m.from_vehicle, m.to_vehicle, a, b) if a.no_prior else (m.to_vehicle, m.from_vehicle, b, a)
@@ -89,9 +100,10 @@ class FaultMonitor:
         ranges.peer_prior, ranges.own_sigma_v_m, ranges.baseline_m = prior, own.sigma_v_m, baseline_m
 
     def step(self, at_s: float, excluded: Collection[int], noise: NoiseModel = AS_STATED) -> None:
-        """Update the filters with the ranges up to a time, without the excluded peers; drop vehicles without ranges for long.
+        """Update the filters with the ranges up to a time, without those to excluded peers.
 
-        `noise` is how much worse ranges and positions were found to be than they state.
+        A vehicle without ranges for `_FORGET_AFTER_S` is dropped. `noise` is how much worse ranges and positions were found to
+        be than they state.
         """
         for vehicle, by_peer in self._ranges.items():
             filters = self._filters.setdefault(vehicle, FaultFilters(self.settings.filters))
@@ -108,11 +120,17 @@ class FaultMonitor:
         self._ranges.pop(vehicle, None)
 
     def separation_m2(self, now_s: float) -> Mapping[int, FloatArray]:
-        """The solution separation of each denied vehicle: second moment (2, 2) of its displacement over all weighted faults."""
+        """Return the solution separation (2, 2) of each denied vehicle, m^2.
+
+        It is the second moment of the vehicle's displacement over all faults, each with its weight.
+        """
         return {vehicle: _separation_m2(filters, now_s, self.settings) for vehicle, filters in self._redundant()}
 
     def detected(self) -> frozenset[int]:
-        """The vehicles one of which is faulty. None where the denied vehicle's own ranging device is the likeliest cause."""
+        """Return the vehicles one of which is faulty; an empty set where no fault is detected.
+
+        A denied vehicle whose own ranging device is the likeliest cause adds none.
+        """
         s, detected = self.settings, set[int]()
         for _, filters in self._redundant():
             probabilities = filters.probabilities()
@@ -140,10 +158,10 @@ class FaultMonitor:
 
 
 def expected_separation_m2(epoch: Epoch, vehicle: int, settings: FaultMonitorSettings | None = None) -> FloatArray | None:
-    """Return the solution separation (2, 2) of a vehicle without prior that no fault and no noise has moved, m^2.
+    """Return the solution separation (2, 2) that is expected of a vehicle without prior, m^2.
 
-    It is what possible faults that ranges have not ruled out yet count for, with the geometry of an epoch for some time; None
-    with fewer peers than have redundancy.
+    It is expected where no fault and no noise has moved the vehicle: faults that the ranges have not ruled out yet still count.
+    The geometry is that of an epoch, for some time. None where there are too few peers for redundancy.
     """
     s = settings if settings is not None else FaultMonitorSettings()
     residuals: dict[int, LineOfSightResidual] = {}
@@ -176,7 +194,10 @@ def _separation_m2(filters: FaultFilters, now_s: float, s: FaultMonitorSettings)
 def _line_of_sight(
     baseline_m: Vector3, peer: PositionPrior, own_sigma_v_m: float, range_bias_m: float
 ) -> tuple[tuple[float, float], float]:
-    """Return the horizontal direction of a baseline, and the 1-sigma of the lasting fault-free errors along it, m."""
+    """Return the horizontal direction of a baseline, and the 1-sigma of lasting errors along it, m.
+
+    The errors are those without a fault, of both positions and of the ranges.
+    """
     e, n, u = baseline_m
     distance_m = hypot(e, n, u)
     horizontal, vertical = hypot(e, n) / distance_m, abs(u) / distance_m

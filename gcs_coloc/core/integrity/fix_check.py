@@ -42,11 +42,12 @@ class FixConsistency(Enum):
 
 @dataclass(frozen=True, slots=True)
 class FixCheck:
-    """A finding, and the horizontal distance of the fix from where ranges put the vehicle (m), None where that is unknown.
+    """The result of the check of one fix.
 
-    `known_m`: horizontal 1-sigma of the best reference that agrees with the fix, m; infinity where there is none.
-    `ranges_know_m`: that of the present epoch's ranges alone, where neither they nor the estimate speak against the fix.
-    `ranged`: there were ranges to test it against. `fits_now`: the ranges of the present epoch alone fit it.
+    `offset_m`: horizontal distance of the fix from where ranges put the vehicle, m; None where that is unknown. `known_m`:
+    horizontal 1-sigma of the best reference that agrees with the fix, m; infinity where there is none. `ranges_know_m`: that of
+    the present epoch's ranges alone, where neither they nor the estimate speak against the fix. `ranged`: there were ranges to
+    test it against. `fits_now`: the ranges of the present epoch alone fit it.
     """
 
     finding: FixConsistency
@@ -144,7 +145,10 @@ def _least_information_per_m2(information: FloatArray) -> float:
 
 
 def _squared_distance(difference_m: FloatArray, fix: PositionMeasurement, estimate: Estimate) -> float:
-    """Return d' (P + sigma^2 I)^-1 d: chi-square with 2 degrees of freedom where fix and estimate are right."""
+    """Return the squared distance of fix and estimate, normalised by their covariances.
+
+    d' (P + sigma^2 I)^-1 d is chi-square with 2 degrees of freedom where fix and estimate are right.
+    """
     covariance = estimate.covariance[:2, :2] + fix.sigma_h_m**2 * np.eye(2)
     return float(difference_m @ np.linalg.solve(covariance, difference_m))
 

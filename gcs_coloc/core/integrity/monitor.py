@@ -1,4 +1,6 @@
-"""The integrity stage of one fleet: reported positions, ranges and estimates in, one `IntegrityReport` out.
+"""The integrity monitor of one fleet: it tests reported positions and returns what it found.
+
+It gets reported positions, ranges and estimates. Each review returns one `IntegrityReport`.
 
 A witness, of which nothing bad is known, has its reported position as a prior. Any other vehicle has none: it may echo our fix,
 or be the one at fault, so it stands where the estimator has it, free to move horizontally. Its own receiver is tested by itself,
@@ -43,7 +45,10 @@ class IntegrityMonitor:
         self._right_since_s: dict[int, float] = {}
 
     def add_position(self, position: PositionMeasurement) -> None:
-        """Add the position that a witness reports. What is identified as faulty stays excluded until it is readmitted."""
+        """Add the position that a witness reports.
+
+        A position without a velocity is ignored, and so is that of a vehicle identified as faulty until it is readmitted.
+        """
         if position.velocity_enu_mps is None or position.vehicle in self._consistency.identified:
             return
         track = TrackPoint(
@@ -103,11 +108,14 @@ class IntegrityMonitor:
 
     @property
     def stated_epoch(self) -> Epoch:
-        """The same with the noise that ranges and positions state; the same object where none beyond it was found."""
+        """The residuals that the last review adjusted, with the noise that ranges and positions state.
+
+        It is the same object as `epoch` where no noise beyond the stated one was found.
+        """
         return self._consistency.stated_epoch
 
     def protect(self, report: IntegrityReport, estimate: Estimate, exposure: Exposure) -> Estimate:
-        """Return the estimate as it may be stated by a report: its covariance inflated, with its protection level."""
+        """Return the estimate as it may be stated: inflated by a report, with its protection level."""
         inflated = report.inflate(estimate)
         level = protection_level(inflated, report.fault_levels.get(estimate.vehicle), exposure, self._protection)
         return replace(inflated, protection=level)
@@ -129,7 +137,10 @@ class IntegrityMonitor:
         self._fault_levels = levels
 
     def _place_by_estimate(self, vehicle: ReviewedVehicle, now_s: float) -> None:
-        """Let a vehicle take part where the estimator has it, without a prior for its position; else not at all."""
+        """Let a vehicle take part where the estimator has it, without a prior for its position.
+
+        Without an estimate it does not take part.
+        """
         where = vehicle.estimate
         if where is None:
             self._consistency.drop(vehicle.sysid)

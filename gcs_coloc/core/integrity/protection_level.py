@@ -1,10 +1,10 @@
-"""Protection levels: what the error of a stated position does not exceed but with the integrity risk, whatever single cause acts.
+"""Protection levels: bounds of the position error, exceeded with the integrity risk only.
 
-The nominal level is K sigma of the estimate. The level of all other hypotheses (`solution_separation`) is the one that the error
-exceeds with their share of the integrity risk: each contributes its separation and its sigma by how often it is true. The
-protection level is the larger, and more by what the vehicle can have done since its last measurement. A fault that the ranges
-cannot test (one or two peers, poor geometry) is told; the level covers it as if the ranges tested it as coarsely as any that
-counts.
+They hold whatever single cause acts. The nominal level is K sigma of the estimate. The level of all other hypotheses
+(`solution_separation`) is the one that the error exceeds with their share of the integrity risk: each contributes its
+separation and its sigma by how often it is true. The protection level is the larger of the two levels, plus what the vehicle
+can have moved since its last measurement. A fault that the ranges cannot test (one or two peers, poor geometry) is reported;
+the level covers it as if the ranges tested it as coarsely as any that counts.
 
 Source: J. Blanch, T. Walter, P. Enge et al., Baseline advanced RAIM user algorithm, IEEE Trans. AES 51 (2015); EU-US WG-C, ARAIM
 technical subgroup, reference airborne algorithm.
@@ -102,7 +102,10 @@ class Exposure:
 
 
 def radius_at_risk(probability: float) -> float:
-    """The radius, in sigmas of its worst direction, that a plane Gaussian exceeds with at most this probability (Rayleigh)."""
+    """Return the radius that a plane Gaussian exceeds with at most this probability, in sigmas.
+
+    The sigma is that of its worst direction. Source: the Rayleigh distribution.
+    """
     return sqrt(-2.0 * log(min(probability, 1.0)))
 
 
@@ -130,7 +133,10 @@ def fault_level(
 def _level_m(
     hypotheses: Sequence[Separation], settings: ProtectionSettings, also: Mapping[frozenset[int], float] | None
 ) -> float:
-    """Solve for the level L, m: sum of p exp(-((L - separation) / sigma)^2 / 2) = risk, p of a true hypothesis in an hour.
+    """Return the level that the error exceeds with the risk of all hypotheses together, in m.
+
+    It is the L with sum of p exp(-((L - separation) / sigma)^2 / 2) = risk. p is the number of independent errors in an hour
+    under a hypothesis.
 
     Source: the HPL equation of the reference algorithm, with the Rayleigh distribution as the Gaussian's tail. A hypothesis
     whose separation is beyond the level counts in full. One whose solution is coarser than the most that is tested is scaled to

@@ -1,4 +1,6 @@
-"""Detects and identifies faulty reported positions over time, from the tests of single epochs (`fault_tests`, `isolation`).
+"""Range consistency: detects and identifies faulty reported positions over time.
+
+It uses the tests of single epochs (`fault_tests`, `isolation`).
 
 Each review tests the present epoch alone and against epochs some seconds earlier. This module has what the tests need of memory:
 how many independent samples in a row isolate a vehicle, and how the solution separation decays (`detection`: who is detected).
@@ -86,7 +88,11 @@ class IdentifiedFault:
 
 
 class _Tests(NamedTuple):
-    """The tests of an epoch: what it is tested against and each result with redundancy, by interval; 0 for the present alone."""
+    """The tests of one epoch, alone and against earlier ones.
+
+    `pasts` are what the epoch is tested against, `results` the results of the tests with redundancy. Both are by interval in s,
+    0 for the present alone.
+    """
 
     epoch: Epoch
     pasts: Mapping[float, Past]
@@ -153,7 +159,9 @@ class RangeConsistency:
         self.identified.pop(vehicle, None)
 
     def review(self, now_s: float, doubtful: Collection[int] = (), not_used: Collection[int] = ()) -> None:
-        """Run the tests if they are due, and update identified and detected faults and the solution separation.
+        """Run the tests if they are due.
+
+        They update identified and detected faults, and the solution separation.
 
         `doubtful` are the vehicles whose receivers speak against themselves: it isolates them where the ranges leave it open.
         `not_used` are those whose positions are tested but no anchors of the estimator: only the others move its estimates.
@@ -188,7 +196,7 @@ class RangeConsistency:
             self.separation_m2[vehicle] = self.separation_m2.get(vehicle, 0.0) + excess_m2
 
     def _shrink_noise(self, stated: Epoch, now_s: float) -> None:
-        """Take back what was added to the stated noise, where the ranges have been clearly likelier with less for a while."""
+        """Reduce the noise where the ranges have been clearly likelier with less for a while."""
         if self.noise.is_as_stated:
             self._smaller_windows = 0
         elif stated.residuals and now_s >= self._shrink_due_s:
@@ -204,7 +212,10 @@ class RangeConsistency:
         return EpochHistory(self.settings.intervals_s, self.settings.correlation_time_s, self.settings.period_s)
 
     def _run_fault_monitor(self, epoch: Epoch, now_s: float) -> None:
-        """Detect faults from the ranges of denied vehicles, where no ranges among other vehicles can test more."""
+        """Detect faulty peers from the ranges of denied vehicles, by the fault monitor.
+
+        It does so only where no ranges among other vehicles can test more.
+        """
         self._fault_monitor.step(now_s - self.settings.residuals.wait_s, self.detected | self.identified.keys(), self.noise)
         pairs, found = (residual.pair for residual in epoch.residuals), frozenset[int]()
         if not any(not epoch.priors[a].no_prior and not epoch.priors[b].no_prior for a, b in pairs):
@@ -294,7 +305,10 @@ class RangeConsistency:
         self._detection.add_samples(of_positions, suspected, now_s)
 
     def _may_be_coarse(self, vehicle: int, sample: Isolation, epoch: Epoch, past: Past) -> bool:
-        """Whether an isolated receiver is off, and has changed, by no more than a sound one may that states too little."""
+        """Return whether an isolated receiver may be sound, and only state too small an error.
+
+        Its offset, and the change of the offset, are then no larger than such a receiver may have.
+        """
         stated_m = epoch.priors[vehicle].sigma_h_m / self.noise.position_factor
         _, correlation = past
         most_change_m = _COARSE_CHANGE_SIGMAS * stated_m * sqrt(2.0 * (1.0 - correlation))

@@ -56,7 +56,10 @@ class RangeResidualSettings:
 
 
 class TrackPoint(NamedTuple):
-    """Position and velocity of a vehicle at one time: ENU in m and m/s, the 1-sigma in m; else as `PositionPrior`."""
+    """Position and velocity of a vehicle at one time, ENU in m and m/s.
+
+    The 1-sigmas are in m. The rest is as in `PositionPrior`.
+    """
 
     at_s: float
     position_enu_m: Vector3
@@ -86,7 +89,10 @@ class _Track:
             del self._times_s[0], self._points[0]
 
     def at(self, at_s: float) -> PositionPrior | None:
-        """The prior at a time: the nearest point, extrapolated by its velocity; None where that is too far away."""
+        """Return the prior at a time; None where no point of the track is near enough.
+
+        The nearest point is extrapolated by its velocity.
+        """
         times_s = self._times_s
         nearest = bisect_left(times_s, at_s)
         if nearest and (nearest == len(times_s) or at_s - times_s[nearest - 1] <= times_s[nearest] - at_s):
@@ -103,7 +109,10 @@ _Sample = tuple[float, float, float]  # of a range: its time (s), observed minus
 
 @dataclass(slots=True)
 class RangeResidualBuffer:
-    """The last seconds of one fleet. Ranges whose positions have arrived also go to the fault monitor, where there is one."""
+    """The positions and ranges of one fleet in the last seconds.
+
+    A range whose positions have arrived also goes to the fault monitor, where there is one.
+    """
 
     settings: RangeResidualSettings = field(default_factory=RangeResidualSettings)
     fault_monitor: FaultMonitor | None = None
@@ -132,7 +141,10 @@ class RangeResidualBuffer:
         self._pending.append(measurement)
 
     def ranged_at_s(self, vehicle: int) -> float | None:
-        """The time of the newest range to or from a vehicle whose residual was computed; None where there is none."""
+        """Return the time of the newest range to or from a vehicle, in s; None where there is none.
+
+        Only ranges whose residual was computed count.
+        """
         return max((samples[-1][0] for pair, samples in self._samples.items() if vehicle in pair), default=None)
 
     def epoch(self, now_s: float) -> Epoch:

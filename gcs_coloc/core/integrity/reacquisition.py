@@ -1,4 +1,6 @@
-"""GNSS reacquisition monitor: a receiver that is back is tested against ranges and estimate before it is believed again.
+"""GNSS reacquisition monitor: tests a receiver that is back before it is believed again.
+
+The tests are against ranges and against the estimate.
 
 Spoofing often follows jamming: the fix that comes back is then another place's. While a vehicle recovers, `check_fix` tests its
 receiver in every review. The monitor has its own residual buffer and epochs, so that its findings concern no other vehicle.
@@ -119,7 +121,10 @@ class _Reacquisition:
         return PositionFault(FaultReason.CONTRADICTS_RANGES, self.offset_m, self.peers)
 
     def has_diverged(self, check: FixCheck, now_s: float) -> bool:
-        """Whether the estimate must be initialised again: the ranges have fitted the receiver, and not it, for a while."""
+        """Return whether the estimate must be initialised again.
+
+        It must where the ranges have fitted the receiver, and not the estimate, for a while.
+        """
         if check.finding is not FixConsistency.ESTIMATE_OFF:
             self.diverged_since_s = None
             return False
@@ -142,7 +147,10 @@ class _Reacquisition:
 
 
 class ReacquisitionMonitor:
-    """The receivers of one fleet that are back, or whose vehicles report trouble or were identified as faulty."""
+    """The GNSS reacquisition monitor of one fleet.
+
+    It tests the receivers that are back, and those whose vehicles report trouble or were identified as faulty.
+    """
 
     def __init__(self, settings: ConsistencySettings) -> None:
         self._settings = settings
@@ -163,7 +171,10 @@ class ReacquisitionMonitor:
     def review(
         self, now_s: float, vehicles: Sequence[ReviewedVehicle], identified: Mapping[int, IdentifiedFault]
     ) -> IntegrityReport:
-        """Test the fixes of the receivers in question, against ranges and against estimates with their solution separation."""
+        """Test the fixes of the receivers in question, and return what was found.
+
+        The tests are against ranges, and against estimates with their solution separation.
+        """
         back = {v.sysid: (v, fix) for v in vehicles if (fix := self._fix(v, now_s, identified)) is not None}
         if not back:
             if self._receivers:
@@ -213,7 +224,10 @@ class ReacquisitionMonitor:
         )
 
     def _fix(self, vehicle: ReviewedVehicle, now_s: float, identified: Container[int]) -> PositionMeasurement | None:
-        """The fix of a receiver that is back, or whose vehicle reports trouble, or that failed because it was found wrong."""
+        """Return the fix of a receiver that must be tested now; None where there is none.
+
+        A receiver is tested that is back, whose vehicle reports trouble, or that failed because it was found wrong.
+        """
         fix, receiver, state = vehicle.receiver_fix, self._receivers.get(vehicle.sysid), vehicle.gps_state
         was_wrong = state is GpsState.FAILED and (vehicle.sysid in identified or (receiver is not None and receiver.wrong))
         in_question = vehicle.is_returning or (state is GpsState.SUSPECT and not vehicle.is_witness)

@@ -1,6 +1,7 @@
-"""What the integrity stage takes of each vehicle, and what it returns: faults, solution separation, reacquired receivers.
+"""The report of the integrity stage, and what a review takes of each vehicle.
 
-Every value is frozen. The engine alone hands a report on to the GPS health of each vehicle and to its outputs.
+The report has faults, solution separation and reacquired receivers. Every value is frozen. The engine alone hands a report on
+to the GPS health of each vehicle and to its outputs.
 """
 
 from __future__ import annotations
@@ -59,7 +60,10 @@ class FaultReason(Enum):
 
 @dataclass(frozen=True, slots=True)
 class PositionFault:
-    """A fault of a vehicle's reported position: its size in m, and the vehicles whose ranges show it or that may have it too."""
+    """A fault of a vehicle's reported position.
+
+    `size_m` is its size in m. `others` are the vehicles whose ranges show it, or that may have it too.
+    """
 
     reason: FaultReason
     size_m: float = 0.0

@@ -1,4 +1,6 @@
-"""Solution separation: how far an estimate is from the solution of each fault hypothesis, and how well that solution is known.
+"""Solution separation: how far an estimate is from the solution of each fault hypothesis.
+
+It also has how well that solution is known.
 
 An epoch's range residuals are taken against the estimates, so that a solution of its adjustment is the separation itself.
 The hypotheses:
@@ -44,7 +46,11 @@ class FaultClass(Enum):
 
 
 class Separation(NamedTuple):
-    """One hypothesis of one vehicle: who is at fault; its separation and the 1-sigma of its solution's worst direction, m."""
+    """The solution separation of one vehicle under one fault hypothesis.
+
+    `vehicles` are those at fault. `separation_m` is the distance of the solution from the estimate, `sigma_m` the 1-sigma of
+    the solution's worst direction, both in m.
+    """
 
     fault: FaultClass
     vehicles: tuple[int, ...]
@@ -144,7 +150,10 @@ class SolutionSeparation:
         return [np.array(list(combinations(reporting, size)), dtype=np.intp) for size in range(1, largest + 1)]
 
     def _receivers(self, own: slice, subsets: NDArray[np.intp], x: FloatArray) -> _Hypotheses:
-        """Return the hypotheses that the reported positions of a subset are wrong: they keep the least information."""
+        """Return the hypotheses that the reported positions of a subset are wrong.
+
+        These positions keep the least information.
+        """
         states = (3 * subsets[:, :, np.newaxis] + np.arange(2)).reshape(len(subsets), -1)
         removed = 1.0 / (self._prior[states] - _LEAST_INFORMATION_PER_M2)
         inner = -self._C[states[:, :, np.newaxis], states[:, np.newaxis, :]]
@@ -158,7 +167,10 @@ class SolutionSeparation:
         return FaultClass.RECEIVERS, who, shifts, covariances
 
     def _ranges(self, own: slice, vehicle: int, x: FloatArray, residuals_m: FloatArray) -> Iterator[_Hypotheses]:
-        """Yield the hypotheses that ranges of this vehicle's pairs or device are off; others tell of its peers alone."""
+        """Yield the hypotheses that the ranges of a vehicle's pairs or device are off.
+
+        Hypotheses of other ranges tell of its peers alone.
+        """
         arrays = self._arrays
         columns: list[list[float]] = []
         who: list[tuple[int, ...]] = []
@@ -184,10 +196,11 @@ class SolutionSeparation:
 
 
 def noise_excess_m2(stated: Epoch, found: Epoch) -> dict[int, FloatArray]:
-    """Return what noise beyond the stated one costs each vehicle that the ranges alone place well, m^2 (2, 2).
+    """Return the variance (2, 2) that noise beyond the stated one adds to vehicles, m^2.
 
-    Both are one epoch, with its noise as stated and as it was found to be; the same object where that is no other. The solution
-    has the weights of the stated noise, as the filter has.
+    Only vehicles that the ranges alone place well are in it. `stated` and `found` are one epoch, with its noise as stated and as
+    it was found to be; they are the same object where these are alike. The solution has the weights of the stated noise, as the
+    filter has.
     """
     if found is stated or not stated.residuals:
         return {}
@@ -199,7 +212,10 @@ def noise_excess_m2(stated: Epoch, found: Epoch) -> dict[int, FloatArray]:
 
 
 def range_excess_m2(stated: Epoch, found: Epoch) -> dict[tuple[int, int], float]:
-    """Return the variance that noise beyond the stated one gives the residuals of each pair, m^2; both as `noise_excess_m2`."""
+    """Return the variance that noise beyond the stated one adds to the residuals of each pair, m^2.
+
+    `stated` and `found` are as in `noise_excess_m2`.
+    """
     if found is stated:
         return {}
     arrays = found.arrays
