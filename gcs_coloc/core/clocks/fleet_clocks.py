@@ -52,10 +52,16 @@ class _Clocks:
 
 
 class FleetClocks:
-    """The clocks of each vehicle and of its ranging devices. `refused` counts refused stamps and answers."""
+    """The clocks of the vehicles of one fleet, and of their ranging devices.
+
+    `refused` counts refused stamps and answers.
+    """
 
     def __init__(self, settings: TimeSettings | None = None, max_age_s: float = 5.0) -> None:
-        """`max_age_s`: a message that was measured longer ago than this is refused."""
+        """Begin without vehicles.
+
+        `max_age_s`: a message that was measured longer ago than this is refused.
+        """
         self.settings = settings if settings is not None else TimeSettings()
         self.refused: Counter[CoreRefusal] = Counter()
         self._max_age_s = max_age_s
@@ -69,7 +75,7 @@ class FleetClocks:
         return self._of(sysid).boot
 
     def set_host_clock(self, message: ClockReference) -> list[Notice]:
-        """Set what the host says of its clock; return what a person should read."""
+        """Set what the host says of its clock; return notices for the operator."""
         self.host_lag_s = message.lag_s
         return self._utc.update(message)
 
@@ -87,7 +93,10 @@ class FleetClocks:
         return self._fresh(clock.to_service(message.boot_s, message.received_at_s), message.received_at_s, too_old)
 
     def booted_at_s(self, message: GlobalPosition, measured: ServiceTime) -> float:
-        """Return the service time at which an autopilot booted, from one of its stamps and when that was."""
+        """Return the service time at which an autopilot booted.
+
+        `measured` is the service time of the stamp in `message`.
+        """
         return measured.at_s - self._of(message.sysid).boot.stamps.unwrapped(message.boot_s)
 
     def fix_time(self, message: GpsReceiver) -> ServiceTime:

@@ -83,7 +83,7 @@ class SenderClock:
         return bool(self._buckets)
 
     def learn(self, stamp_s: float, received_at_s: float) -> bool:
-        """Take one stamp; False where it jumps and must not be used."""
+        """Learn from one stamp (s); return False where it jumps and must not be used."""
         while self._buckets and received_at_s - self._buckets[0].started_s > _BUCKETS * _BUCKET_S:
             self._buckets.popleft()
             self._least_s = self._wait_s = None
@@ -120,7 +120,10 @@ class SenderClock:
         return True
 
     def begin_anew(self, *, is_reset: bool = True) -> None:
-        """Forget the clock: it is another one from the next stamp on. `is_reset`: it counts as a reboot."""
+        """Forget the clock: the next stamp begins a new one.
+
+        `is_reset`: it counts as a reboot.
+        """
         self.resets += is_reset
         self._buckets.clear()
         self._least_s = self._wait_s = None
@@ -172,7 +175,7 @@ class SenderClock:
         return self.unwrapped(stamp_s) + self.least_difference_s()
 
     def _jumped(self, stamp_s: float, difference_s: float, received_at_s: float) -> float | None:
-        """What a stamp is beyond to be a jump, s; None where it is none."""
+        """Return the limit in s that makes a stamp a jump; None where it is no jump."""
         if difference_s < self.least_difference_s() - JUMP_S:
             return JUMP_S
         off_s = self.newest_stamp_s - stamp_s
@@ -184,7 +187,7 @@ class SenderClock:
         return jump_s if off_s > jump_s else None
 
     def _overtaking_s(self, received_at_s: float) -> float:
-        """How far behind a newer one a message may come, s."""
+        """Return how far behind a newer message one may come, s."""
         if received_at_s - self.began_at_s < _OVERTAKING_KNOWN_S:
             return JUMP_S
         seen_s = max((b.overtaken_s for b in self._buckets if received_at_s - b.started_s <= _LEAST_OVER_S), default=JUMP_S)

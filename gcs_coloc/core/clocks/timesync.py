@@ -64,11 +64,11 @@ class Synchronised(NamedTuple):
     drift: Drift
 
     def offset_at_s(self, at_s: float) -> float:
-        """The offset at another service time."""
+        """Return the offset at another service time, s."""
         return self.offset_s + self.drift.rate * (at_s - self.at_s)
 
     def sigma_at_s(self, at_s: float) -> float:
-        """Its 1-sigma at another service time."""
+        """Return the 1-sigma of the offset at another service time, s."""
         return hypot(self.sigma_s, self.drift.sigma * (at_s - self.at_s))
 
 
@@ -90,7 +90,7 @@ class Causality(NamedTuple):
     high_s: float
 
     def is_too_early(self, stamp_s: float, received_at_s: float) -> bool:
-        """Whether a stamp was made after it arrived: the clock was stepped forward."""
+        """Return whether a stamp was made after it arrived: the clock was stepped forward."""
         age_s = received_at_s - self.at_s
         return age_s <= _RECENT_S and self.early_s(stamp_s, received_at_s) > _STEP_S + _MOST_RATE * age_s
 
@@ -213,7 +213,7 @@ class RoundTrips:
         return self._estimate
 
     def wanders(self, now_s: float) -> bool:
-        """Whether the clock was seen to be no crystal within the last minute."""
+        """Return whether the clock was seen to be no crystal within the last minute."""
         return now_s - self._wandered_at_s <= _WANDERING_S
 
     def forget(self) -> None:
@@ -241,13 +241,13 @@ def _causality(exchanges: deque[_Exchange]) -> Causality:
 
 
 def _columns(exchanges: deque[_Exchange]) -> FloatArray:
-    """Exchanges as columns (3, N): when, up and down, s."""
+    """Return exchanges as columns (3, N): when, delay up and delay down with the offset in them, s."""
     # Several times as fast as numpy's own way through nested sequences.
     return np.fromiter(chain.from_iterable(exchanges), float, 3 * len(exchanges)).reshape(-1, 3).T
 
 
 def _agreeing(exchanges: FloatArray, drift: Drift) -> int:
-    """How many of the newest exchanges leave an offset that none of them excludes."""
+    """Return how many of the newest exchanges leave an offset that none of them excludes."""
     at_s, up_s, down_s = exchanges[:, ::-1]
     age_s = at_s[0] - at_s
     unsure_s = _CRYSTAL_OFF_S + 3.0 * drift.sigma * age_s

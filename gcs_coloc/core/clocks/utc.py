@@ -68,7 +68,10 @@ class Utc:
         self._warned_of_old_table = False
 
     def update(self, message: ClockReference) -> list[Notice]:
-        """Update with what the host says of its clock; return what a person should read, once for each change."""
+        """Update with what the host says of its clock; return notices for the operator.
+
+        There is one notice for each change.
+        """
         before = self._host.synchronised if self._host is not None else None
         first, self._host = self._host is None, message
         out: list[Notice] = []
@@ -82,18 +85,18 @@ class Utc:
         return out
 
     def fault(self) -> HostClockFault | None:
-        """Why no aiding message may be sent; None where it may."""
+        """Return why no aiding message may be sent; None where it may."""
         if not self._required or (self._host is not None and self._host.synchronised):
             return None
         unsynchronised = self._host is not None and self._host.synchronised is False
         return HostClockFault.UNSYNCHRONISED if unsynchronised else HostClockFault.UNKNOWN
 
     def synchronised_host_s(self) -> float | None:
-        """UTC minus service clock of a host whose clock is known to be right; None for any other."""
+        """Return UTC minus service clock, in s, of a host whose clock is known to be right; else None."""
         return self._host.utc_minus_service_s if self._host is not None and self._host.synchronised else None
 
     def minus_service_s(self, of_vehicles_s: Iterable[float]) -> float | None:
-        """UTC (UNIX seconds) minus service clock; None where neither host nor vehicles know.
+        """Return UTC (UNIX seconds) minus service clock; None where neither host nor vehicles know it.
 
         `of_vehicles_s` is what vehicles with healthy GPS state. A host clock that is known not to be synchronised counts less
         than their median.

@@ -72,7 +72,10 @@ class ServiceTime(NamedTuple):
 
 
 class OneWay(NamedTuple):
-    """What is held of a link's least one-way delay without TIMESYNC, in a word and in s, with its 1-sigma."""
+    """The least one-way delay of a link, as it is assumed without TIMESYNC.
+
+    `method` says how it is known, in a word. The delay is in s, with its 1-sigma.
+    """
 
     method: str
     delay_s: float
@@ -135,11 +138,11 @@ class VehicleClock:
 
     @property
     def resets(self) -> int:
-        """How often the clock was begun anew (reboots)."""
+        """How often the clock was begun anew: the reboots."""
         return self.stamps.resets
 
     def learn(self, stamp_s: float, received_at_s: float) -> bool:
-        """Take one stamp; False where it jumps and must not be used."""
+        """Learn from one stamp (s); return False where it jumps and must not be used."""
         self.duplicates.add(stamp_s, received_at_s)
         causality = self.round_trips.causality
         # A stamp that has wrapped is far behind, so that this needs no unwrapping.
@@ -181,7 +184,7 @@ class VehicleClock:
         self._by_utc = OneWay("UTC", max(behind_s - _UTC_BEHIND_S, 0.0), sigma_s) if is_plausible else None
 
     def one_way(self) -> OneWay:
-        """What is held of the link's least delay where TIMESYNC is not answered."""
+        """Return the least delay of the link that is assumed where TIMESYNC is not answered."""
         if self.settings.min_delay_s > 0.0:
             return OneWay(ONE_WAY, self.settings.min_delay_s, self.settings.min_delay_sigma_s)
         if self._by_utc is not None:
@@ -191,11 +194,11 @@ class VehicleClock:
         return OneWay(ONE_WAY, 0.0, min(sigma_s, max(_MOST_UNKNOWN_S, least_s)))
 
     def synchronised(self, now_s: float) -> Synchronised | None:
-        """What TIMESYNC says; None where it is not answered."""
+        """Return the offset by TIMESYNC; None where it is not answered."""
         return self.round_trips.estimate(now_s)
 
     def quality(self, now_s: float) -> tuple[str, float] | None:
-        """How the clock is known, in a word, and its 1-sigma in seconds; None before its first stamp."""
+        """Return how the clock is known, in a word, and its 1-sigma in s; None before its first stamp."""
         sync = self.synchronised(now_s)
         if sync is not None:
             return "TIMESYNC", sync.sigma_at_s(now_s)
@@ -205,14 +208,17 @@ class VehicleClock:
         return one_way.method, one_way.sigma_s
 
     def one_way_delay_s(self, now_s: float) -> float | None:
-        """The least delay of the link in one direction; None where it is not known."""
+        """Return the least delay of the link in one direction, s; None where it is not known."""
         sync = self.synchronised(now_s)
         if sync is not None:
             return sync.one_way_delay_s
         return self._by_utc.delay_s if self._by_utc is not None else None
 
     def to_service(self, stamp_s: float, now_s: float) -> ServiceTime:
-        """A stamp on the service's clock. Only valid after `learn` has taken one."""
+        """Return the service time of a stamp of this clock.
+
+        Only valid after `learn` has accepted a stamp.
+        """
         sync = self.synchronised(now_s)
         if sync is not None:
             return ServiceTime(self.stamps.unwrapped(stamp_s) + sync.offset_at_s(now_s), sync.sigma_at_s(now_s))
@@ -230,7 +236,10 @@ class VehicleClock:
         return newest_s + at_s - self.to_service(newest_s, now_s).at_s
 
     def device_to_service(self, device: SenderClock, stamp_s: float, now_s: float) -> ServiceTime:
-        """A stamp of a ranging device of this vehicle, whose own clock has learnt it, on the service's clock."""
+        """Return the service time of a stamp of a ranging device of this vehicle.
+
+        `device` is the device's own clock, which has already learnt from the stamp.
+        """
         sync = self.synchronised(now_s)
         waits_more_s = max(device.mean_wait_s() - self.stamps.mean_wait_s(), 0.0) if self.stamps.known else 0.0
         # What waits longer than the autopilot's messages may have a longer least delay, too.

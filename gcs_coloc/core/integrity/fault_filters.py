@@ -167,11 +167,11 @@ class FaultFilters:
         self._regroup([p for p in self.peers if p not in excluded])
 
     def probabilities(self) -> list[tuple[int | None, float]]:
-        """The probability of each fault, by vehicle; None for the vehicle's own ranging device."""
+        """Return the probability of each fault, by vehicle; None for the vehicle's own ranging device."""
         return list(zip([*self.peers, None], map(exp, self._log_probability[1:]), strict=True))
 
     def hypotheses(self, now_s: float) -> list[FaultHypothesis]:
-        """All hypotheses with a fault; a growing fault is extrapolated from the last step to now."""
+        """Return all hypotheses with a fault; a growing fault is extrapolated from the last step to now."""
         out = []
         (east, north), *means = self._means[:, :2].tolist()
         faults = self._means[1:, _SIZE:].tolist()
@@ -238,7 +238,7 @@ class FaultFilters:
         ]
 
     def _design(self, residuals: Mapping[int, LineOfSightResidual]) -> FloatArray:
-        """The measurement matrices H (models, residuals, states)."""
+        """Return the measurement matrices H (models, residuals, states)."""
         models, size = self._means.shape
         H: FloatArray = np.zeros((models, len(residuals), size))
         for k, (peer, residual) in enumerate(residuals.items()):
@@ -291,14 +291,14 @@ class FaultFilters:
 
 
 def _normalise(log_probability: list[float]) -> list[float]:
-    """Logarithms of probabilities, normalised to a sum of 1 (log-sum-exp)."""
+    """Return the logarithms of probabilities, normalised to a sum of 1 (log-sum-exp)."""
     largest = max(log_probability)
     total = largest + log(sum(exp(one - largest) for one in log_probability))
     return [one - total for one in log_probability]
 
 
 def positive_part(ee: float, en: float, nn: float) -> tuple[float, float, float]:
-    """A symmetric (2, 2) matrix with its negative eigenvalues set to zero."""
+    """Return a symmetric (2, 2) matrix with its negative eigenvalues set to zero."""
     mean, radius = eigenvalue_mean_and_radius(ee, en, nn, hypot)
     if mean >= radius:
         return ee, en, nn

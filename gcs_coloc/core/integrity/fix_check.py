@@ -30,7 +30,7 @@ _MIN_RANGES = 2  # with one range half of an estimate is prediction, which has b
 
 
 class FixConsistency(Enum):
-    """Result of the check."""
+    """What a check of a fix has found."""
 
     NOTHING = "nothing to test it against"
     AGREES = "consistent, as far as can be tested"
@@ -66,7 +66,7 @@ def check_fix(
     levels: SignificanceLevels,
     suspects: Collection[int] = (),
 ) -> FixCheck:
-    """Test a fix against both references.
+    """Test a fix against the estimate and against the ranges.
 
     Args:
         fix: the receiver's position.
@@ -119,7 +119,7 @@ def check_fix(
 
 
 def fits_alone(epoch: Epoch, vehicle: int, levels: SignificanceLevels) -> bool:
-    """Whether the ranges of one epoch fit the vehicle's position; True where there are none."""
+    """Return whether the ranges of one epoch fit a vehicle's position; True where there are none."""
     if not epoch.residuals:
         return True
     (fit,) = adjust(epoch, [(None, 0.0)])
@@ -127,19 +127,19 @@ def fits_alone(epoch: Epoch, vehicle: int, levels: SignificanceLevels) -> bool:
 
 
 def star(epoch: Epoch, vehicle: int, peers: Container[int]) -> Epoch:
-    """The part of an epoch with the residuals between one vehicle and some peers."""
+    """Return the part of an epoch with the residuals between one vehicle and some peers."""
     residuals = tuple(r for r in epoch.residuals for end, other in (r.pair, r.pair[::-1]) if end == vehicle and other in peers)
     return Epoch(epoch.at_s, {end: epoch.priors[end] for residual in residuals for end in residual.pair}, residuals)
 
 
 def _difference_m(fix: PositionMeasurement, estimate: Estimate) -> FloatArray:
-    """Fix minus estimate (2,), at the time of the fix."""
+    """Return fix minus estimate (2,), m, at the time of the fix."""
     at_fix = estimate.position_enu_m[:2] - estimate.velocity_enu_mps[:2] * (estimate.at_s - fix.measured_at_s)
     return np.asarray(np.array(fix.position_enu_m[:2]) - at_fix)
 
 
 def _least_information_per_m2(information: FloatArray) -> float:
-    """Information along the worst direction: the smaller eigenvalue."""
+    """Return the information along the worst direction: the smaller eigenvalue."""
     mean, radius = eigenvalue_mean_and_radius(information.item(0), information.item(1), information.item(3), hypot)
     return mean - radius
 
@@ -154,6 +154,6 @@ def _squared_distance(difference_m: FloatArray, fix: PositionMeasurement, estima
 
 
 def _agrees(fit: Adjustment, vehicle: int, levels: SignificanceLevels) -> bool:
-    """Whether the ranges fit the vehicle's position, where nothing else contradicts them."""
+    """Return whether the ranges fit the vehicle's position, where nothing else contradicts them."""
     gain, rank = fit.position_gain(vehicle)
     return not rank or gain <= chi2_limit(rank, levels.rest)

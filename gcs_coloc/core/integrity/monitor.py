@@ -66,7 +66,7 @@ class IntegrityMonitor:
         return node in self._consistency.identified
 
     def add_range(self, measurement: RangeMeasurement) -> None:
-        """Add a range between two vehicles."""
+        """Add a range between two vehicles, or a vehicle and a station."""
         self._consistency.add_range(measurement)
         self._reacquisition.add_range(measurement)
 

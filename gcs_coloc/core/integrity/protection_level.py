@@ -65,11 +65,11 @@ class ProtectionSettings:
 
     @property
     def nominal_sigmas(self) -> float:
-        """K of the estimate itself."""
+        """K of the nominal level: how many sigmas of the estimate it is."""
         return radius_at_risk(_NOMINAL_SHARE * self.integrity_risk_per_h * self.independent_s / _S_PER_H)
 
     def rate_per_h(self, hypothesis: Separation) -> float:
-        """How often per hour a hypothesis becomes true."""
+        """Return how often per hour a hypothesis becomes true."""
         if hypothesis.fault is FaultClass.RECEIVERS:
             return self.receiver_fault_rate_per_h * self.alike_fault_share ** (len(hypothesis.vehicles) - 1)
         return self.motion_fault_rate_per_h if hypothesis.fault is FaultClass.MOTION else self.range_fault_rate_per_h
@@ -77,7 +77,7 @@ class ProtectionSettings:
 
 @dataclass(frozen=True, slots=True)
 class FaultLevel:
-    """The level of all hypotheses but the nominal one, by the ranges of one epoch.
+    """The level of all hypotheses except the nominal one, by the ranges of one epoch.
 
     `level_m`: without the bias of unknown delays, m. `estimate_sigma_m`: the estimate's 1-sigma then, m; the level grows with it.
     `ranged_at_s`: service time of the newest range. `untested`: the vehicles whose receiver the ranges cannot test.

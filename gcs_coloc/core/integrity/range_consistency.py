@@ -151,7 +151,7 @@ class RangeConsistency:
         self._residuals.add_range(measurement)
 
     def ranged_at_s(self, vehicle: int) -> float | None:
-        """The time of the newest range of a vehicle; None where there is none of late."""
+        """Return the time of the newest range of a vehicle, in s; None where there is none of late."""
         return self._residuals.ranged_at_s(vehicle)
 
     def readmit(self, vehicle: int) -> None:

@@ -148,7 +148,7 @@ class RangeResidualBuffer:
         return max((samples[-1][0] for pair, samples in self._samples.items() if vehicle in pair), default=None)
 
     def epoch(self, now_s: float) -> Epoch:
-        """The fleet in the middle of the window that ends `wait_s` ago."""
+        """Return the epoch in the middle of the window that ends `wait_s` ago."""
         self._compute_residuals(now_s)
         s = self.settings
         oldest_s = now_s - s.wait_s - s.max_window_s
@@ -156,7 +156,10 @@ class RangeResidualBuffer:
         return self._epoch(dense, now_s, s.min_ranges)
 
     def sparse_epoch(self, now_s: float, dense: Epoch) -> Epoch:
-        """The same with the pairs whose ranges come too seldom for `dense`, the epoch of the same time."""
+        """Return `dense` with the pairs that are ranged too seldom for it.
+
+        `dense` is the epoch of the same time.
+        """
         if len(dense.residuals) == len(self._samples):
             return dense
         return self._epoch(self._samples, now_s, 1)

@@ -50,7 +50,7 @@ class _LocatedEvidence:
     until_s: float = -inf
 
     def after(self, tested: Epoch, vehicle: int, levels: SignificanceLevels, now_s: float) -> _LocatedEvidence:
-        """Return it after an epoch of the vehicle and those that are located."""
+        """Return the evidence after an epoch of the vehicle and the located ones."""
         if fits_alone(tested, vehicle, levels):
             return self
         return _LocatedEvidence(min(self.since_s, now_s), now_s)
@@ -87,7 +87,7 @@ class _Reacquisition:
     by_located: _LocatedEvidence = _LocatedEvidence()
 
     def add(self, check: FixCheck, now_s: float) -> bool:
-        """Add one finding; True where it confirms just now that the receiver is wrong."""
+        """Add one finding; return True where it has just confirmed that the receiver is wrong."""
         contradicts = check.finding in _CONTRADICTS
         # A reference less certain than the offset agrees with anything, unless no ranges are there to make it better.
         uncertain = self.was_ranged and check.known_m > _WELL_KNOWN_SHARE * self.offset_m
@@ -159,12 +159,12 @@ class ReacquisitionMonitor:
         self._clear()
 
     def add_range(self, measurement: RangeMeasurement) -> None:
-        """Add a range between two vehicles."""
+        """Add a range between two vehicles, or a vehicle and a station."""
         if self._receivers:
             self._residuals.add_range(measurement)
 
     def has_become_right(self, sysid: int) -> bool:
-        """Whether a receiver is tested and not, or no longer, found wrong."""
+        """Return whether a receiver is tested and is not, or no longer, found wrong."""
         receiver = self._receivers.get(sysid)
         return receiver is not None and not receiver.wrong
 
@@ -264,6 +264,6 @@ def _begin(vehicle: ReviewedVehicle, identified: Mapping[int, IdentifiedFault], 
 
 
 def _is_reference(vehicle: ReviewedVehicle) -> bool:
-    """Whether its estimate comes from ranges that agree with it."""
+    """Return whether the estimate of a vehicle comes from ranges that agree with it."""
     agrees = vehicle.median_nis is None or vehicle.median_nis <= CONSISTENT_MEDIAN_NIS
     return vehicle.estimate is not None and vehicle.estimate.ranges_in_use > 0 and vehicle.range_jump_m is None and agrees

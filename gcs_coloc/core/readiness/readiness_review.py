@@ -90,7 +90,10 @@ class ReadinessInputs:
 
 @dataclass(slots=True)
 class _Followed:
-    """What is remembered of one vehicle: what is stated, and since when predictions are of another state."""
+    """What is known of one vehicle from earlier predictions.
+
+    `stated` is the readiness that is stated. `other_since_s` is since when predictions have had another state.
+    """
 
     stated: VehicleReadiness
     predicted_at_s: float

@@ -40,7 +40,7 @@ class ReadinessState(StrEnum):
 # Not frozen, as `VehicleSnapshot` is not: each page is sent all of them several times a second.
 @dataclass(slots=True)
 class VehicleReadiness:
-    """What would be if the GPS of a vehicle had failed at `at_s` (service time, s).
+    """The readiness of a vehicle: what would be if its GPS had failed at `at_s` (service time, s).
 
     `reason` is the code of the `LimitingReason` and `text` that in words; None and empty for READY. `peers` counts the nodes
     that it ranges. Of the moment of the loss (`_now_`) and of half a minute later: the 95 % bound and the protection level HPL

@@ -30,11 +30,11 @@ _SENT_LATELY_S = 1.0
 
 @dataclass(slots=True)
 class _Vehicle:
-    """What one vehicle has shown; service times in s, minus infinity for never.
+    """What one vehicle has shown of who feeds it.
 
-    `passed_on`, `passed_on_at_s`: how many messages of the other's stream, and when the last. `fixed_boot_s`: the last fix of the
-    fed receiver by the vehicle's clock, `fixed_at_s`: when that was first reported, `is_advance` whether another was known
-    before; `reported_at_s` and `report_before_s`: the last reports.
+    Times are service time in s, minus infinity for never. `passed_on`, `passed_on_at_s`: how many messages of the other's
+    stream, and when the last. `fixed_boot_s`: the last fix of the fed receiver by the vehicle's clock, `fixed_at_s`: when that
+    was first reported, `is_advance` whether another was known before; `reported_at_s` and `report_before_s`: the last reports.
     """
 
     heard_at_s: float = float("-inf")
@@ -111,7 +111,10 @@ class FeedWatch:
         return vehicle.reported_at_s - vehicle.fixed_at_s >= _UNCHANGED_S
 
     def _fed_at_s(self, vehicle: _Vehicle, now_s: float) -> float:
-        """When the vehicle last showed it. A fix may have come up to a report's spacing before its report."""
+        """Return when a vehicle last showed that the other service feeds it.
+
+        A fix may have come up to a report's spacing before its report.
+        """
         if self._passes_on(vehicle) or not _reports(vehicle, now_s):
             return vehicle.passed_on_at_s
         is_others = vehicle.is_advance and vehicle.fixed_at_s - vehicle.sent_at_s > _SLOWEST_REPORTS_S
@@ -125,13 +128,16 @@ class FeedWatch:
 
 
 def _reports(vehicle: _Vehicle, now_s: float) -> bool:
-    """Whether its reports of the fed receiver come often enough to tell by."""
+    """Return whether the reports of the fed receiver come often enough to show who feeds a vehicle."""
     spacing_s = vehicle.reported_at_s - vehicle.report_before_s
     return spacing_s <= _SLOWEST_REPORTS_S and now_s - vehicle.reported_at_s <= _HEARD_WITHIN_S
 
 
 class FeedPermits:
-    """The vehicles that need aid, those that a take-over was for, and those that we have fed of late."""
+    """The permits to feed vehicles while the other service is silent.
+
+    They depend on which vehicles need aid, which ones a take-over was for, and which ones we have fed of late.
+    """
 
     def __init__(self, watch: FeedWatch, other: OtherService) -> None:
         self._watch = watch
@@ -141,7 +147,7 @@ class FeedPermits:
         self._sent_at_s: dict[int, float] = {}
 
     def set_wanted(self, wanted: Collection[int], now_s: float) -> None:
-        """Take the vehicles that this service would send something that changes what they do."""
+        """Set the vehicles to which this service would send something that changes what they do."""
         self._wanted_since_s = {sysid: self._wanted_since_s.get(sysid, now_s) for sysid in wanted}
         self._granted &= self._wanted_since_s.keys()
 
@@ -176,7 +182,10 @@ class FeedPermits:
         return now_s - since_s >= _LISTEN_S
 
     def _is_free(self, sysid: int, now_s: float) -> bool:
-        """Whether a vehicle shows that nobody feeds it: at once where the other one did, else after a while."""
+        """Return whether a vehicle shows that nobody feeds it.
+
+        It counts at once where the other service fed it, otherwise after a while.
+        """
         if not self._watch.is_fed_no_more(sysid, now_s):
             return False
         was_fed = sysid in self._other.shared.feeding or now_s - self._watch.fed_at_s(sysid, now_s) <= PRESENT_S

@@ -63,7 +63,7 @@ class OtherService:
         self.listening_since_s = now_s
 
     def receive(self, sign: SignOfLife, now_s: float) -> Heard:
-        """Take a sign of life."""
+        """Receive a sign of life; return what it is worth."""
         if sign.sender.sysid != self._own.sysid or sign.sender.compid == self._own.compid:
             self.mismatch = _mismatch(self._own, sign.sender)
             return Heard.NOTHING
@@ -97,12 +97,15 @@ class OtherService:
         return self.heard_at_s is not None and now_s - self.heard_at_s <= PRESENT_S
 
     def is_known_to_follow(self, now_s: float) -> bool:
-        """Return whether it says in answer to us that it does not send."""
+        """Return whether the other service says, in answer to us, that it does not send."""
         return self.state is not None and self.state not in SENDS_OR_MAY and now_s - self.fresh_at_s <= FRESH_S
 
     @property
     def lets_us_go_first(self) -> bool:
-        """Whether we go first where both services could: the one of the lower component id does."""
+        """Whether we go first where both services could.
+
+        The one with the lower component id does.
+        """
         return self.identity is None or self._own < self.identity
 
 

@@ -112,7 +112,7 @@ NOTHING_SHARED = Shared()
 
 @dataclass(frozen=True, slots=True)
 class SignOfLife:
-    """One message between the two.
+    """One sign of life: a message between the two services.
 
     `run` is drawn at random at each start, `number` counts the messages of it. `heard_run` and `heard_number` are those of the
     newest message that the sender has of the receiver: by them the receiver sees that this is no recording, and how old it may

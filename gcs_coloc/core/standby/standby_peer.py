@@ -90,7 +90,7 @@ class StandbyPeer:
     # What comes in
 
     def receive(self, sign: SignOfLife, now_s: float) -> None:
-        """Take a sign of life whose sender has proven that it has the key."""
+        """Receive a sign of life whose sender has proven that it has the key."""
         self._look_at_time(now_s)
         heard = self._other.receive(sign, now_s)
         if heard is not Heard.NOTHING:
@@ -126,7 +126,7 @@ class StandbyPeer:
         return now_s + TICK_S
 
     def order(self, order: StandbyOrder, now_s: float) -> StatedReason[OrderRefusal] | None:
-        """Carry out what an operator says; the reason where that is not done."""
+        """Carry out an order of the operator; return why it is refused, None where it is done."""
         self._look_at_time(now_s)
         if self.state in (StandbyState.LISTENING, StandbyState.HELD_UP):
             return StatedReason(OrderRefusal.IS_DECIDING)
@@ -182,7 +182,7 @@ class StandbyPeer:
         return True
 
     def follows(self, now_s: float) -> bool:
-        """Return whether the other one is active and is heard, so that `shared` is how things are."""
+        """Return whether the other service is active and heard, so that `shared` is up to date."""
         return self.state is not StandbyState.ACTIVE and self.hears_other(now_s) and self._other.state is StandbyState.ACTIVE
 
     def may_be_other(self, sender: Identity) -> bool:
@@ -200,7 +200,7 @@ class StandbyPeer:
         return now_s - self._other.silent_since_s <= SILENT_S and self._other.state is StandbyState.STANDBY
 
     def snapshot(self, now_s: float) -> StandbySnapshot:
-        """Return how it stands, for observers."""
+        """Return the state of the hot standby, for observers."""
         fed_sysid = self.watch.fed_vehicle(now_s)
         stand = Stand(self.own, self.state, self.reason, self.since_s, self.term, fed_sysid, self._waiting_for)
         return standby_snapshot(stand, self._other, now_s)
@@ -208,7 +208,7 @@ class StandbyPeer:
     # The rules
 
     def _look_at_time(self, now_s: float) -> None:
-        """See whether the process stood still: it has then neither listened nor told that it lives."""
+        """Detect that the process stood still: it has then neither listened nor sent signs of life."""
         still_s = now_s - self._ticked_at_s
         if still_s <= STILL_S:
             return
@@ -261,7 +261,7 @@ class StandbyPeer:
             self._become_active(StandbyReason.ALONE_AT_START, now_s)
 
     def _review_active(self, now_s: float) -> None:
-        """Stand back where the other one's stream is seen though it was taken for dead."""
+        """Return to standby where the other service is seen to feed though it was silent."""
         if not self._took_over_silently:
             return
         fed = self.watch.fed_vehicle(now_s, self.since_s + _IN_FLIGHT_S)

@@ -95,7 +95,7 @@ class _Survey:
 
     @property
     def growth(self) -> float:
-        """By what factor its samples have grown since its place was sought last."""
+        """The factor by which the samples have grown since the last solution."""
         return self.added / self.solved_at
 
 
@@ -156,7 +156,7 @@ class StationSurvey:
 
 
 def survey_position(samples: list[_Sample]) -> SurveyedPosition | SurveyProblem:
-    """Return where the station of some ranges is, or why that is open."""
+    """Return the position of the station to which samples belong, or why it is not known."""
     positions = np.array([s.position_m for s in samples])
     ranges = np.array([s.range_m for s in samples])
     white_m2 = np.array([s.sigma_m**2 + s.position_sigma_m**2 for s in samples])
@@ -268,7 +268,7 @@ def _linearised(x: FloatArray, positions: FloatArray, ranges: FloatArray) -> tup
 
 
 def _cost(left: FloatArray, variances: FloatArray, x: FloatArray) -> FloatArray:
-    """Return twice Huber's loss, with the bias' own, at S states."""
+    """Return the cost at S states: twice Huber's loss of the residuals, and the square of the bias."""
     z = np.abs(left) / np.sqrt(variances)
     loss = np.where(z <= _HUBER_SIGMAS, z * z, 2.0 * _HUBER_SIGMAS * z - _HUBER_SIGMAS**2)
     return np.asarray(loss.sum(axis=1) + (x[:, 3] / _BIAS_SIGMA_M) ** 2)

@@ -58,9 +58,10 @@ class StationPosition(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """One station; `position` None: not known.
+    """One station of the fleet.
 
-    `range_bias_m` and `range_scale` are the lasting errors of its ranging device, as `MeasurementSettings` has those of vehicles.
+    `position` is None where it is not known. `range_bias_m` and `range_scale` are the lasting errors of its ranging device, as
+    `MeasurementSettings` has those of vehicles.
     """
 
     station_id: int
@@ -91,9 +92,10 @@ class Station:
 
 
 class ResolvedRange(NamedTuple):
-    """A range whose other end is settled, None where it is refused, and what the operator must know.
+    """A range after its other end was found: a vehicle or a station.
 
-    `unplaced` is the station of a range that is refused for want of its position: the range may help to survey it.
+    `message` is None where the range is refused. `notice` is what the operator must know. `unplaced` is the station of a range
+    that is refused for want of its position: the range may help to survey it.
     """
 
     message: PeerRange | None
@@ -138,7 +140,7 @@ class Stations:
         return station is not None and station.position is not None
 
     def add_receiver(self, message: GpsReceiver) -> None:
-        """Add a receiver's report: it knows how high mean sea level is above the ellipsoid here."""
+        """Add a receiver's report, for the height of the geoid above the ellipsoid."""
         if message.geoid_height_m is not None and message.fix_type >= _FIX_3D:
             self._geoid_height_m = message.geoid_height_m
 
@@ -147,7 +149,7 @@ class Stations:
         return self._ranged_s.get(node)
 
     def resolve(self, message: PeerRange) -> ResolvedRange:
-        """Settle what is at the other end of a range: a vehicle, or a station whose position is known."""
+        """Find the other end of a range: a vehicle, or a station whose position is known."""
         resolved = self._resolve(message)
         if resolved.message is not None and is_station(resolved.message.peer):
             self._ranged_s[resolved.message.peer] = message.received_at_s

@@ -70,7 +70,7 @@ class Adjustment:
         self._number = number
 
     def position_gain(self, vehicle: int) -> tuple[float, int]:
-        """The gain and the rank of `position_effect`."""
+        """Return the gain and the rank of `position_effect`."""
         gains, ranks, _ = self._solution.position_effects
         at = self._index[vehicle]
         return float(gains[self._number, at]), int(ranks[self._number, at])
@@ -83,7 +83,7 @@ class Adjustment:
         return np.asarray(self._solution.position_information[self._number, self._index[vehicle]])
 
     def position_effect(self, vehicle: int) -> FaultEffect:
-        """The effect of a reported position that is off by an unknown horizontal vector."""
+        """Return the effect of a reported position that is off by an unknown horizontal vector."""
         gain, rank = self.position_gain(vehicle)
         at = self._index[vehicle]
         size = self._solution.position_effects[2][self._number, at]
@@ -91,7 +91,7 @@ class Adjustment:
         return FaultEffect(gain, rank, size, self.corrections_m - self._solution.covariance_times(self._number, pull))
 
     def range_effect(self, chosen: Iterable[int]) -> FaultEffect:
-        """The effect of one unknown length in all of the chosen residuals, given by their numbers."""
+        """Return the effect of one unknown length in all of the chosen residuals, given by their numbers."""
         rows = np.array([self._used[n] for n in chosen], dtype=np.intp)
         alone, score, c = self._solution.range_bias(self._number, rows)
         moved = self._solution.covariance_times(self._number, c)
@@ -103,20 +103,24 @@ class Adjustment:
         return FaultEffect(score * size, 1, np.array([size]), self.corrections_m - moved * size)
 
     def placed_offset_m(self, vehicle: int, placed_m: float) -> FloatArray:
-        """The horizontal correction d (2,) of a vehicle without prior, as far as the ranges determine it.
+        """Return the horizontal correction d (2,) of a vehicle without prior, m.
 
-        S (S + C)^-1 d, S the square of `placed_m` times I, d and its covariance C linearised where the vehicle is said to be.
-        In a direction that the ranges hardly see, d is their noise times any number.
+        It is as far as the ranges determine it: S (S + C)^-1 d, with S the square of `placed_m` times I. d and its covariance C
+        are linearised where the vehicle is said to be. In a direction that the ranges hardly see, d is their noise times any
+        number.
         """
         correction_m, covariance_m2 = self._solution.first_linear(self._number, self._index[vehicle])
         return np.asarray(np.linalg.solve(covariance_m2 / placed_m**2 + np.eye(2), correction_m))
 
     def change_m(self, vehicle: int) -> float:
-        """By how much the horizontal correction of a vehicle differs from that in the earlier epoch."""
+        """Return how much the horizontal correction of a vehicle differs from that in the earlier epoch, m."""
         now_m, then_m = np.split(self.corrections_m, 2)
         return float(np.hypot(*(self.horizontal(vehicle, now_m) - self.horizontal(vehicle, then_m))))
 
     def horizontal(self, vehicle: int, states: FloatArray) -> FloatArray:
-        """A vehicle's east and north (2,) of a state vector; of a whole one those in the present epoch."""
+        """Return a vehicle's east and north (2,) of a state vector.
+
+        Of a vector of both epochs they are those in the present one.
+        """
         i = 3 * self._index[vehicle]
         return states[i : i + 2]

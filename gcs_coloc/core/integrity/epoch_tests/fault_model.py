@@ -38,7 +38,7 @@ _FAULT_INFORMATION_PER_M2 = 1e-7  # holds a direction that no range sees; of a f
 
 
 class FaultKind(Enum):
-    """The alternative hypotheses."""
+    """What a fault hypothesis holds to be off."""
 
     POSITIONS = "positions"
     PAIR = "pair"
@@ -99,7 +99,7 @@ class FaultModel:
         self._ends_without_prior = np.stack([self._jacobian(axis)[:, self._without_prior] for axis in axes], axis=1)
 
     def explain(self, hypotheses: Sequence[Hypothesis], penalties: Sequence[float]) -> list[AdjustedHypothesis]:
-        """The hypotheses whose fault the ranges determine, the cheapest first."""
+        """Return the adjusted hypotheses whose fault the ranges determine, the cheapest first."""
         if not hypotheses:
             return []
         penalty = np.array(penalties)
@@ -134,7 +134,10 @@ class FaultModel:
         return sorted(explanations, key=lambda each: each.cost)
 
     def linear_gains(self) -> FloatArray:
-        """By vehicle how much its horizontal fault would explain, linearised at the reported positions."""
+        """Return by vehicle how much its horizontal fault would explain.
+
+        It is linearised at the reported positions.
+        """
         jacobian = self._jacobian(self._baselines_m)
         projector = self._without_free(self._weights(jacobian), jacobian)
         innovations = self._ranges_m - np.linalg.norm(self._baselines_m, axis=1)
@@ -223,7 +226,7 @@ class FaultModel:
     def _minimise(
         self, moved: FloatArray, lengthened: FloatArray, weights: FloatArray, states: FloatArray, steps: int
     ) -> tuple[FloatArray, FloatArray]:
-        """The smallest statistic on the way of Gauss-Newton from some states, and the states there."""
+        """Return the smallest statistic that Gauss-Newton meets from some states, and the states there."""
         least: FloatArray = np.full(len(states), np.inf)
         best = states
         damping = np.full(states.shape[1], MIN_INFORMATION_PER_M2)
@@ -243,7 +246,7 @@ class FaultModel:
         return least, best
 
     def _ranks(self, moved: FloatArray, lengthened: FloatArray, weights: FloatArray, states: FloatArray) -> FloatArray:
-        """How many unknowns the ranges determine, by test."""
+        """Return how many unknowns the ranges determine, by test."""
         J = self._design(moved, lengthened, states)
         eigenvalues = np.linalg.eigvalsh(J.transpose(0, 2, 1) @ (weights @ J))
         least = np.maximum(_RANK_TOLERANCE * eigenvalues.max(axis=1, initial=0.0), MIN_INFORMATION_PER_M2)
@@ -261,7 +264,10 @@ def _two_times(own: Sequence[FloatArray], shared: FloatArray) -> FloatArray:
 
 
 def _aligned(now: Epoch, then: Epoch | None) -> tuple[EpochArrays, list[EpochArrays]]:
-    """The arrays of an epoch, and of an earlier one, with the residuals that both have of vehicles alike."""
+    """Return the arrays of an epoch, and those of it and an earlier one with the same residuals.
+
+    The residuals are those that both epochs have, of vehicles with a prior in both or in neither.
+    """
     if then is None:
         return now.arrays, [now.arrays]
     earlier = {residual.pair: residual for residual in then.residuals}

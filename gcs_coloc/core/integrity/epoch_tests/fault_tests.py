@@ -121,7 +121,7 @@ def run_test(fit: Adjustment, levels: SignificanceLevels) -> FaultTestResult | N
 
 
 def _separation_weight(gain: float, rank: int, levels: SignificanceLevels) -> float:
-    """How much a fault counts in the solution separation, 0 to 1."""
+    """Return how much a fault counts in the solution separation, 0 to 1."""
     if not rank:
         return 0.0
     low, high = chi2_limit(rank, levels.separation_from), chi2_limit(rank, levels.separation_full)
@@ -140,7 +140,10 @@ def _range_effects(fit: Adjustment) -> list[FaultEffect]:
 
 @lru_cache(maxsize=1024)
 def chi2_limit(dof: int, alpha: float) -> float:
-    """The value that a chi-square variable with `dof` degrees of freedom exceeds with probability `alpha`."""
+    """Return the value that a chi-square variable with `dof` degrees of freedom exceeds with `alpha`.
+
+    `alpha` is a probability.
+    """
     # Imported here: it takes a quarter of a second, which a start in flight does not have.
     from scipy.special import chdtri
 

@@ -188,7 +188,7 @@ def isolate(
 
 
 def _with_errors_anew(epoch: Epoch) -> Epoch:
-    """The epoch where the errors of ranges that would last are of this epoch alone."""
+    """Return the epoch where the errors of ranges that would last are of this epoch alone."""
     anew = (r._replace(sigma_m=hypot(r.sigma_m, r.bias_m, r.devices_m), bias_m=0.0, devices_m=0.0) for r in epoch.residuals)
     return replace(epoch, residuals=tuple(anew))
 
@@ -258,7 +258,7 @@ def _device_m(found: Sequence[AdjustedHypothesis], levels: SignificanceLevels) -
 
 
 def _penalty(hypothesis: Hypothesis, troubled: frozenset[int]) -> float:
-    """Twice the log of how much less likely a hypothesis is beforehand than one faulty receiver."""
+    """Return twice the log of how much less likely a hypothesis is beforehand than one faulty receiver."""
     is_troubled = hypothesis.kind is FaultKind.POSITIONS and troubled.issuperset(hypothesis.vehicles)
     further = len(hypothesis.vehicles) - 1 if hypothesis.kind is FaultKind.POSITIONS else 0
     stations = sum(map(is_station, hypothesis.vehicles)) if hypothesis.kind is FaultKind.POSITIONS else 0

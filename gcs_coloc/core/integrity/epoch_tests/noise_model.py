@@ -50,10 +50,11 @@ _FORGOTTEN_S = 600.0  # chosen: devices and weather change within hours
 
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
-    """1-sigmas beyond those stated.
+    """How much larger than stated the noise is: 1-sigmas beyond those stated.
 
-    The lasting error of each pair's ranges in m, that of the devices in m and as a share of the range, the least of heights in m,
-    and the factor on the sigmas of reported positions. `pairs_off`: the pairs whose ranges are off at the moment.
+    `range_bias_m` is the lasting error of each pair's ranges. `device_bias_m` is that of the devices, `device_scale` the same
+    as a share of the range. `height_sigma_m` is the least 1-sigma of heights, `position_factor` the factor on the sigmas of
+    reported positions. `pairs_off` are the pairs whose ranges are off at the moment.
     """
 
     range_bias_m: float = 0.0
@@ -152,7 +153,7 @@ class NoiseModel:
         )
 
     def lasting_m(self, range_m: float) -> float:
-        """The 1-sigma of the lasting errors of a range beyond that stated, m."""
+        """Return the 1-sigma of the lasting errors of a range beyond that stated, m."""
         return hypot(self.range_bias_m, self.device_bias_m, self.device_scale * range_m)
 
     def prior(self, prior: PositionPrior) -> PositionPrior:
@@ -219,7 +220,10 @@ def likeliest_noise(epoch: Epoch, present: NoiseModel, levels: SignificanceLevel
 
 
 def _as_tested(epoch: Epoch) -> Epoch:
-    """The epoch where the errors of the devices are independent by pair, as the tests of faults take them."""
+    """Return the epoch where the errors of the devices are independent by pair.
+
+    The tests of faults take them so.
+    """
     apart = (r._replace(bias_m=hypot(r.bias_m, r.devices_m), devices_m=0.0) for r in epoch.residuals)
     return replace(epoch, residuals=tuple(apart))
 
@@ -245,7 +249,7 @@ def clearly_smaller_noise(epoch: Epoch, present: NoiseModel, levels: Significanc
 
 
 def _is_considerable(model: NoiseModel) -> bool:
-    """Whether a component is a tenth at least of its smallest step."""
+    """Return whether some component is at least a tenth of its smallest step."""
     return (
         model.range_bias_m > 0.1 * _RANGE_BIASES_M[0]
         or model.device_bias_m > 0.1 * _RANGE_BIASES_M[0]

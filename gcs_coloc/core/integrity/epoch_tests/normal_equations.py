@@ -103,7 +103,10 @@ class NormalEquations:
         return variances_without_prior_m2
 
     def _linearise(self, shift: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The unit vectors and residuals at the shifted positions, for corrections that count from the priors."""
+        """Return the unit vectors and the residuals at shifted positions.
+
+        The residuals are those for corrections that count from the priors.
+        """
         i, j = self._now.ends
         moves = shift[:, :, i] - shift[:, :, j]
         moved = self._baselines_m + moves
@@ -156,7 +159,7 @@ class NormalEquations:
         return corrections_m[test, states], columns[test, column : column + 2, states]
 
     def covariance_times(self, test: int, pulls: FloatArray) -> FloatArray:
-        """The product of a test's covariance of all states and some vectors (..., states): m for 1/m."""
+        """Return the covariance of all states of a test, times some vectors (..., states): m for 1/m."""
         solution, _ = lapack.dgetrs(*self._factors[test], pulls.T)
         return np.asarray(solution).T
 
@@ -174,7 +177,10 @@ class NormalEquations:
 
     @cached_property
     def position_information(self) -> FloatArray:
-        """Information of each test on such a fault (tests, vehicles, 2, 2), 1/m^2: K - K (K + S^-1)^-1 K."""
+        """The information of each test on a horizontal fault of each vehicle.
+
+        (tests, vehicles, 2, 2), 1/m^2: K - K (K + S^-1)^-1 K.
+        """
         K, at = self.information, self._horizontal
         pulls = K[:, at]
         moved = np.array(
@@ -198,7 +204,10 @@ class NormalEquations:
 
 
 def _prior_information(now: EpochArrays, earlier: FloatArray, correlations: Sequence[float]) -> FloatArray:
-    """S^-1 (tests, states, states): one 2x2 block over the two times for each axis of each vehicle."""
+    """Return the prior information S^-1 (tests, states, states).
+
+    It has one 2x2 block over the two times for each axis of each vehicle.
+    """
     tests, size = earlier.shape
     # The inverse of [[1, c], [c, 1]] in units of the sigmas. A state without prior has no correlation over time.
     own = np.where(now.has_prior, [[1.0 / (1.0 - c * c)] for c in correlations], 1.0)

@@ -99,5 +99,5 @@ def cost_of_their_pairs(now: Epoch, past: Past, vehicles: Collection[int]) -> fl
 
 
 def unordered(vehicles: Pair) -> Pair:
-    """The pair, the smaller id first."""
+    """Return the pair, the smaller id first."""
     return min(vehicles), max(vehicles)
