@@ -196,7 +196,7 @@ class FleetHypotheses:
             del self.hypotheses[group]
             return
         planes = {vehicle: vertical_plane_through_line(cluster, vehicle, at_s, group) for vehicle in sorted(group)}
-        sides = {vehicle: relative_side(cluster, other, vehicle, plane) for vehicle, plane in planes.items()}
+        sides = {vehicle: relative_side(cluster, other, vehicle, plane, at_s) for vehicle, plane in planes.items()}
         is_apart = RelativeSide.APART in sides.values()
         if is_apart and not hypothesis.separated:
             # From the plane either side was reached by chance: the odds so far are of another question.
@@ -218,7 +218,7 @@ class FleetHypotheses:
             if (
                 not hypothesis.separated
                 and len(found) == len(planes)
-                and all(abs(offset_sigmas(cluster, v, plane)) >= CLEARLY_ASIDE_SIGMAS for v, plane in found.items())
+                and all(abs(offset_sigmas(cluster, v, plane, at_s)) >= CLEARLY_ASIDE_SIGMAS for v, plane in found.items())
             ):
                 # No hypothesis was on the other side, so nothing has ruled it out.
                 self._branch(found, at_s)

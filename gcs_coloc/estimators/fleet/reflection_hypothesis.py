@@ -83,11 +83,13 @@ class ReflectionHypothesis:
             self.log_odds -= other.log_odds
 
 
-def relative_side(cluster: Cluster, other: Cluster, denied_vehicle: int, plane: ReflectionPlane | None) -> RelativeSide:
+def relative_side(
+    cluster: Cluster, other: Cluster, denied_vehicle: int, plane: ReflectionPlane | None, at_s: float
+) -> RelativeSide:
     """Return on which sides of a plane a vehicle is in two models: apart where its peers are in no plane."""
     if plane is None:
         return RelativeSide.APART
-    away, other_away = offset_sigmas(cluster, denied_vehicle, plane), offset_sigmas(other, denied_vehicle, plane)
+    away, other_away = (offset_sigmas(one, denied_vehicle, plane, at_s) for one in (cluster, other))
     if min(abs(away), abs(other_away)) < CLEARLY_ASIDE_SIGMAS:
         return RelativeSide.OPEN
     return RelativeSide.SAME if away * other_away > 0.0 else RelativeSide.APART

@@ -22,7 +22,7 @@ from gcs_coloc.core.error_ellipse import error_ellipse
 from gcs_coloc.core.measurements import FloatArray, Vector3
 from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
-from gcs_coloc.estimators.fleet.ekf.state import Key
+from gcs_coloc.estimators.fleet.ekf.state import POSITION, Key
 
 _STRAIGHT_SHARE = 0.1
 """Chosen: a slope that changes by less than this share within a sigma is as good as straight."""
@@ -74,6 +74,14 @@ def curvature_covariances(
     near_m2, far_m2 = ((max(reach, 1.0) ** 2 - 1.0) * sigma_m * sigma_m for reach in (near / _NEAR_SIGMAS, far / FAR_SIGMAS))
     along = np.array([[east * east, east * north], [east * north, north * north]])
     return (near_m2 * along, far_m2 * along) if max(near_m2, far_m2) > 0.0 else None
+
+
+def variance_across_m2(cluster: Cluster, vehicle: int, normal: FloatArray, at_s: float) -> float:
+    """Return the variance of a denied vehicle's position along a unit normal (3,), m^2, with what curved ranges add to it."""
+    covariance = cluster.joint.covariance(vehicle)[POSITION, POSITION]
+    curved = curvature_covariances(cluster, vehicle, covariance, at_s)
+    variance_m2 = float(normal @ covariance @ normal)
+    return variance_m2 if curved is None else variance_m2 + float(normal[:2] @ curved[0] @ normal[:2])
 
 
 def _moves(cluster: Cluster, vehicle: int, direction: Horizontal) -> dict[int, Horizontal]:

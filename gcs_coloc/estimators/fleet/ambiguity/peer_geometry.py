@@ -12,11 +12,12 @@ import numpy as np
 
 from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius, major_axis_rad
 from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, Vector3
+from gcs_coloc.estimators.fleet.ambiguity.curved_ranges import curvature_covariances
 from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.process_model import fresh_air_data
 from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S
-from gcs_coloc.estimators.fleet.ekf.state import TIME_STAMP_OFFSET, VELOCITY
+from gcs_coloc.estimators.fleet.ekf.state import POSITION, TIME_STAMP_OFFSET, VELOCITY
 
 NEAR_SIGMAS = 4.0
 """Chosen: as the gate; a vehicle within so many sigmas of a plane may be on either side of it."""
@@ -47,7 +48,15 @@ class PeerGeometry:
         self.offset = (e - ce, n - cn, u - cu)
         self.distance_m = [max(math.dist(self.own.position, position), _LEAST_DISTANCE_M) for position in positions]
         self.nearest_m = min(self.distance_m)
-        largest_sigma_m = _largest_sigma_m(cluster, self.own) + max(_largest_sigma_m(cluster, peer) for peer in self.peers)
+        covariance = cluster.joint.covariance(denied_vehicle)[POSITION, POSITION]
+        curved = curvature_covariances(cluster, denied_vehicle, covariance, at_s)
+        self._curved_m2 = None if curved is None else curved[0]
+        curved_m2 = 0.0 if curved is None else float(np.trace(curved[0]))
+        largest_sigma_m = (
+            math.sqrt(curved_m2)
+            + _largest_sigma_m(cluster, self.own)
+            + max(_largest_sigma_m(cluster, peer) for peer in self.peers)
+        )
         record = cluster.records[denied_vehicle]
         presumed = record.presumed_bias
         self._lasting_m2 = 0.0 if presumed is None else presumed.pair_m**2
@@ -88,6 +97,8 @@ class PeerGeometry:
         covariances = [self.difference_covariance(i) for i in range(len(self.peers))]
         variances_m2 = np.array([max(float(covariance[0, 0]), LEAST_SIGMA_M**2) for covariance in covariances])
         across_m2 = max(float(normal @ covariance[1:, 1:] @ normal) for covariance in covariances)
+        if self._curved_m2 is not None:
+            across_m2 += float(normal[:2] @ self._curved_m2 @ normal[:2])
         return variances_m2, across_m2, self.blind_m(math.sqrt(float(variances_m2.max())))
 
     def blind_m(self, range_sigma_m: float) -> float:

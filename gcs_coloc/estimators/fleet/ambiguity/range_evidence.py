@@ -146,7 +146,7 @@ def plane_after_gap(before: SavedEstimate, cluster: Cluster, denied_vehicle: int
     if horizontal_sigma_m(cluster.joint.covariance(denied_vehicle)) > _SMALLER_SHARE * before.sigma_m:
         return None
     plane = vertical_plane_through_line(cluster, denied_vehicle, at_s)
-    if plane is None or abs(offset_sigmas(cluster, denied_vehicle, plane)) < CLEARLY_ASIDE_SIGMAS:
+    if plane is None or abs(offset_sigmas(cluster, denied_vehicle, plane, at_s)) < CLEARLY_ASIDE_SIGMAS:
         return None
     (e, n, _), (at_e, at_n, _) = plane.normal.tolist(), plane.point_m.tolist()
     offset_m = (before.east_m - at_e) * e + (before.north_m - at_n) * n

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.estimators.fleet.ambiguity.curved_ranges import variance_across_m2
 from gcs_coloc.estimators.fleet.ambiguity.peer_geometry import NEAR_SIGMAS, SEPARATED, PeerGeometry
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.process_model import fresh_air_data
@@ -182,11 +183,10 @@ def only_motion_separates(cluster: Cluster, group: frozenset[int], at_s: float, 
     return few and any(fresh_air_data(cluster.records[vehicle], cluster.settings, at_s) is None for vehicle in group)
 
 
-def offset_sigmas(cluster: Cluster, denied_vehicle: int, plane: ReflectionPlane) -> float:
+def offset_sigmas(cluster: Cluster, denied_vehicle: int, plane: ReflectionPlane, at_s: float) -> float:
     """Return the signed distance of a denied vehicle from a plane, in sigmas of its position."""
-    n = plane.normal
-    sigma_m = math.sqrt(float(n @ cluster.joint.covariance(denied_vehicle)[POSITION, POSITION] @ n))
-    return float((np.array(cluster.position(denied_vehicle)) - plane.point_m) @ n) / sigma_m
+    sigma_m = math.sqrt(variance_across_m2(cluster, denied_vehicle, plane.normal, at_s))
+    return float((np.array(cluster.position(denied_vehicle)) - plane.point_m) @ plane.normal) / sigma_m
 
 
 def reflect(cluster: Cluster, denied_vehicle: int, plane: ReflectionPlane) -> None:

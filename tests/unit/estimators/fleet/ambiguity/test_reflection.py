@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.measurements import (
     AMBIGUOUS,
     AltitudeMeasurement,
@@ -159,6 +160,25 @@ def test_one_near_peer_off_the_line_moves_the_line():
 
 def test_a_group_of_peers_far_away_leaves_one_place():
     assert vertical_plane_through_line(beside(GROUP, 0.0, 8.0), 4, 0.0) is None
+
+
+def test_a_vehicle_beside_a_line_is_on_either_side_where_its_curved_ranges_reach_the_other_one():
+    """In a flight beside two peers this was a fix for 45 s on the wrong side, up to 548 m off."""
+    estimator, aside_m = FleetFilter(), 45.0
+    for k in range(61):
+        t = round(k * STEP_S, 6)
+        for v in (1, 2):
+            estimator.add(PositionMeasurement(v, t, t, (*LINE[v], 100.0), 1.0, 1.0, (0.0, 0.0, 0.0), 0.3))
+        here = (aside_m, 15.0 * t - 100.0, 120.0)
+        if t < 2.0:
+            estimator.add(PositionMeasurement(4, t, t, here, 10.0, 1.0, (0.0, 15.0, 0.0), 0.3))
+            continue
+        estimator.set_denied({4}, t)
+        estimator.add(AltitudeMeasurement(4, t, t, 120.0, 1.0))
+        for v in (1, 2):
+            estimator.add(RangeMeasurement(4, v, t, t, math.dist(here, (*LINE[v], 100.0)), 1.0))
+    answer = estimator.estimate(4, 12.0)
+    assert isinstance(answer, NoEstimate) or horizontal_bound_95_m(answer.covariance) > aside_m
 
 
 def test_of_a_mixture_of_three_the_likeliest_counts_most_and_none_is_beyond_three_sigmas():
