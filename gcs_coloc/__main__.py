@@ -10,6 +10,9 @@ def main() -> None:
     is_heeded = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if is_heeded:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from gcs_coloc.runtime.process import collect_seldom
+
+    collect_seldom()  # before the packages are read: nearly nothing that they make is garbage
     from gcs_coloc.cli import main as cli
 
     if is_heeded:

@@ -16,7 +16,7 @@ from typer.core import TyperGroup
 
 from gcs_coloc import __version__
 from gcs_coloc.core.errors import GcsColocError, UsageError
-from gcs_coloc.runtime.process import NOBODY_READS, collect_seldom, discard_output, one_thread, open_all
+from gcs_coloc.runtime.process import NOBODY_READS, discard_output, importing, one_thread, open_all
 
 if TYPE_CHECKING:
     from gcs_coloc.config.fleets import FleetOf
@@ -98,7 +98,6 @@ def main() -> None:
     A user's mistake ends in one line on stderr and exit code 2 or 1, never in a traceback.
     """
     one_thread()
-    collect_seldom()
     open_all()
     try:
         status = app(prog_name=PROGRAM, standalone_mode=False)
@@ -203,9 +202,10 @@ def run(
     del version
     if context.invoked_subcommand is not None:
         return
-    from gcs_coloc.config.fleets import PER_FLEET, load_fleets, naming
-    from gcs_coloc.service.service import Service
-    from gcs_coloc.sinks.console import SharedConsole, log_to_stderr, own_stream
+    with importing():
+        from gcs_coloc.config.fleets import PER_FLEET, load_fleets, naming
+        from gcs_coloc.service.service import Service
+        from gcs_coloc.sinks.console import SharedConsole, log_to_stderr, own_stream
 
     links = [*(f"udpin:{where}" for where in udp or ()), *(link or ())]
     flags: dict[str, Any] = {}

@@ -8,6 +8,7 @@ import gc
 import os
 import stat
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 from gcs_coloc.core.errors import ConfigError
@@ -76,6 +77,20 @@ def exclude_start() -> None:
     It is called at the end of a service's start. What is garbage by then is never freed.
     """
     gc.freeze()
+
+
+@contextlib.contextmanager
+def importing() -> Iterator[None]:
+    """Search for no cycles while modules are imported, and exclude what they make for ever.
+
+    It stays, and each search of it takes 20 ms.
+    """
+    gc.disable()
+    try:
+        yield
+    finally:
+        exclude_start()
+        gc.enable()
 
 
 def read_private_file(path: Path, what: str, setting: str = "") -> bytes:

@@ -53,11 +53,25 @@ def test_who_asks_for_more_threads_gets_them():
 
 def test_the_entry_point_sets_it_before_anything_else_is_imported():
     told = run(
-        "import sys; sys.argv[1:] = ['--version']; import gcs_coloc.cli.main as cli, gc, os\n"
-        "try: cli.main()\n"
+        "import sys; sys.argv[1:] = ['--version']; from gcs_coloc.__main__ import main; import gc, os\n"
+        "try: main()\n"
         "except SystemExit: print('numpy' in sys.modules, os.environ['OPENBLAS_NUM_THREADS'], gc.get_threshold()[0] > 10_000)"
     )
     assert told.splitlines()[-1] == "False 1 True"
+
+
+def test_a_service_imports_what_it_needs_without_searching_it_for_garbage():
+    told = run(
+        "import sys; sys.argv[1:] = ['--config', 'no-file.toml']; from gcs_coloc.__main__ import main; import gc\n"
+        "searches = lambda: sum(each['collections'] for each in gc.get_stats())\n"
+        "before = searches()\n"
+        "try: main()\n"
+        "except SystemExit: print(searches() - before, gc.isenabled(), gc.get_freeze_count())"
+    )
+    searches, enabled, excluded = told.split()
+    assert int(searches) < 6  # by Python's thresholds, before ours are set; there were 37
+    assert enabled == "True"
+    assert int(excluded) > 50_000
 
 
 _INTERRUPTED = """
