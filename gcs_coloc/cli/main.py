@@ -20,7 +20,7 @@ from gcs_coloc.runtime.process import NOBODY_READS, discard_output, importing, o
 
 if TYPE_CHECKING:
     from gcs_coloc.config.fleets import FleetOf
-    from gcs_coloc.sinks.console import SharedConsole
+    from gcs_coloc.sinks.terminal import SharedConsole
 
 PROGRAM = "gcs-coloc"
 
@@ -122,7 +122,7 @@ def main() -> None:
     sys.exit(status if isinstance(status, int) else 0)
 
 
-def _work(fleet: FleetOf, descriptor: int, level: str, console: SharedConsole) -> None:
+def _work(fleet: FleetOf, descriptor: int, level: str, terminal: SharedConsole | None) -> None:
     """Run one fleet as a worker of the supervisor whose socket `descriptor` is.
 
     Every line of its log begins with the fleet's name.
@@ -131,10 +131,10 @@ def _work(fleet: FleetOf, descriptor: int, level: str, console: SharedConsole) -
     from gcs_coloc.service.worker import SupervisorLink
     from gcs_coloc.sinks.console import log_to_stderr, log_uncaught
 
-    log_to_stderr(level, console, f"{fleet.name}: ")
+    log_to_stderr(level, terminal, f"{fleet.name}: ")
     log_uncaught()
     with fleet.named():
-        asyncio.run(Service([replace(fleet, name="")], SupervisorLink(descriptor)).run(console))
+        asyncio.run(Service([replace(fleet, name="")], SupervisorLink(descriptor)).run(terminal))
 
 
 def _fail(text: str, code: int) -> None:
@@ -205,7 +205,7 @@ def run(
     with importing():
         from gcs_coloc.config.fleets import PER_FLEET, load_fleets, naming
         from gcs_coloc.service.service import Service
-        from gcs_coloc.sinks.console import SharedConsole, log_to_stderr, own_stream
+        from gcs_coloc.sinks.console import log_to_stderr, terminal_of
 
     links = [*(f"udpin:{where}" for where in udp or ()), *(link or ())]
     flags: dict[str, Any] = {}
@@ -235,18 +235,18 @@ def run(
         fleets = load_fleets(None, flags | {"links": [DEFAULT_LINK]})
     if not all(fleet.settings.links for fleet in fleets) or not fleets:
         raise UsageError(f'{config}: no link to listen on; give `links` in it, as links = ["{DEFAULT_LINK}"], or --udp 14550')
-    console = SharedConsole(file=own_stream(sys.stdout))
+    terminal = terminal_of(sys.stdout)
     level = log_level.value.upper()
     if supervisor is not None and fleet is not None:
-        _work(fleets[0], supervisor, level, console)
+        _work(fleets[0], supervisor, level, terminal)
     elif fleet is None and fleets[0].settings.service.processes == PER_FLEET:
         from gcs_coloc.service.checks import check_fleets
         from gcs_coloc.service.supervisor import Supervisor
 
         check_fleets(config, fleets)  # what is wrong from the start ends it here, and no worker is started again and again for it
-        log_to_stderr(level, SharedConsole(file=own_stream(sys.stderr), force_terminal=False))
+        log_to_stderr(level, None)
         # As it was started itself, whatever the Python and its options.
         asyncio.run(Supervisor(fleets, [sys.executable, *sys.orig_argv[1:]]).run())
     else:
-        log_to_stderr(level, console)
-        asyncio.run(Service(fleets).run(console))
+        log_to_stderr(level, terminal)
+        asyncio.run(Service(fleets).run(terminal))

@@ -38,7 +38,7 @@ def watch(
     It sends nothing to anybody.
     """
     from gcs_coloc.service.watch import Watch
-    from gcs_coloc.sinks.console import SharedConsole, log_to_stderr, own_stream
+    from gcs_coloc.sinks.console import log_to_stderr, terminal_of
 
     if web is not None and no_web:
         raise UsageError("--web and --no-web exclude each other")
@@ -56,9 +56,9 @@ def watch(
         raise UsageError("no broker: --mqtt HOST[:PORT], or a --config with host in [mqtt]")
     page = settings.web if settings.web.must_open else settings.web.model_copy(update={"address": DEFAULT_PAGE})
     shown = Watch(settings.mqtt, page)
-    console = SharedConsole(file=own_stream(sys.stdout))
-    log_to_stderr(log_level.value.upper(), console)
-    asyncio.run(shown.run(console))
+    terminal = terminal_of(sys.stdout)
+    log_to_stderr(log_level.value.upper(), terminal)
+    asyncio.run(shown.run(terminal))
 
 
 def _broker(text: str) -> dict[str, Any]:

@@ -20,11 +20,11 @@ from gcs_coloc.runtime.clock import ServiceClock, read_host_clock
 from gcs_coloc.runtime.process import exclude_start
 from gcs_coloc.service.fleet_service import FleetService
 from gcs_coloc.sinks import console as console_sink
-from gcs_coloc.sinks.console import SharedConsole
 
 if TYPE_CHECKING:
     from gcs_coloc.service.worker import SupervisorLink, WorkerReport
     from gcs_coloc.sinks.mqtt import Mqtt
+    from gcs_coloc.sinks.terminal import SharedConsole
     from gcs_coloc.web.server import WebServer
 
 log = logging.getLogger("gcs_coloc")
@@ -63,8 +63,10 @@ class Service:
         """Request the service to end in order."""
         self._stopping.set()
 
-    async def run(self, console: SharedConsole) -> None:
+    async def run(self, terminal: SharedConsole | None) -> None:
         """Open the links and serve until `stop`; then end the fix of every aided vehicle.
+
+        Without a terminal there is no table.
 
         Raises:
             LinkError: a link cannot be opened.
@@ -83,10 +85,10 @@ class Service:
             for fleet in self._fleets:
                 await fleet.path.open()
             async with asyncio.TaskGroup() as group:
-                background = [group.create_task(console_sink.show(events, console))]
+                background = [group.create_task(console_sink.show(events, terminal))]
                 for number, fleet in enumerate(self._fleets):
                     # Not all at once: what many fleets do in the same moment delays what is to be sent.
-                    background += fleet.start(group, number / len(self._fleets), on_terminal=console.is_terminal)
+                    background += fleet.start(group, number / len(self._fleets), on_terminal=terminal is not None)
                 try:
                     for fleet in self._fleets:
                         await fleet.start_observers(group)

@@ -12,10 +12,10 @@ import time
 
 from gcs_coloc.config.service_sections import MqttConfig, WebConfig
 from gcs_coloc.runtime.process import exclude_start
-from gcs_coloc.sinks.console import LiveTable, SharedConsole
 from gcs_coloc.sinks.event_bus import IdleScheduler
 from gcs_coloc.sinks.fleets_table import FleetsTable, fleet_line
 from gcs_coloc.sinks.mqtt_watch import MqttWatch
+from gcs_coloc.sinks.terminal import LiveTable, SharedConsole
 from gcs_coloc.sinks.watched_fleets import Presence
 from gcs_coloc.web.fleets_page import FLEETS_EVERY_S, FleetsSource
 from gcs_coloc.web.pages import Pages
@@ -44,7 +44,7 @@ class Watch:
         self._web = WebServer(web, source, pages, must_serve=True) if web.on else None
         self._logged: dict[tuple[str, str], tuple[Presence, str]] = {}
 
-    async def run(self, console: SharedConsole) -> None:
+    async def run(self, terminal: SharedConsole | None) -> None:
         """Watch until Ctrl-C, SIGTERM or SIGHUP.
 
         Raises:
@@ -59,7 +59,7 @@ class Watch:
             serving = asyncio.create_task(self._web.run())
             serving.add_done_callback(lambda _: stopping.set())
         exclude_start()
-        table = LiveTable(console) if console.is_terminal else None
+        table = LiveTable(terminal) if terminal is not None else None
         try:
             async with asyncio.TaskGroup() as group:
                 background = [group.create_task(self._watch.run()), group.create_task(self._show(table))]

@@ -15,41 +15,41 @@ import sys
 import threading
 from collections.abc import Mapping
 from logging.handlers import QueueHandler, QueueListener
-from typing import Any, TextIO
-
-from rich.console import Console, RenderableType
-from rich.live import Live
+from typing import TYPE_CHECKING, TextIO
 
 from gcs_coloc.core.messages.outbound import ToOperator
 from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.sinks.event_bus import Subscription, level_and_text
-from gcs_coloc.sinks.fleet_table import FleetTables, out_line, standby_line, vehicle_line
+from gcs_coloc.sinks.fleet_lines import out_line, standby_line, vehicle_line
+
+if TYPE_CHECKING:
+    from gcs_coloc.sinks.terminal import LiveTable, SharedConsole
 
 log = logging.getLogger("gcs_coloc")
 
 _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
 PLAIN_EVERY_S = 5.0
 """Period of the log lines of all vehicles where there is no terminal. Chosen: a log of a day stays readable."""
-_LAST_TABLE_S = 1.0
-"""How long the end of the program waits for the last table. Chosen: a slow terminal, and no longer than a person waits."""
 MAX_WAITING = 2000
 """Records that wait for a slow reader. Chosen: a minute of a busy start at 30 lines a second, some 1 MB."""
 _LAST_LINES_S = 2.0
 """How long the end of the program waits for the last lines. Chosen: a slow terminal, and no longer than a person waits."""
 
 
-async def show(events: Mapping[str, Subscription], console: SharedConsole) -> None:
+async def show(events: Mapping[str, Subscription], terminal: SharedConsole | None) -> None:
     """Show the events of each fleet, by its name, for ever.
 
-    They are shown as live tables where `console` is a terminal, else as log lines.
+    They are shown as live tables on the terminal, else as log lines.
     """
     async with asyncio.TaskGroup() as group:
-        if not console.is_terminal:
+        if terminal is None:
             for name, subscription in events.items():
                 group.create_task(_log_lines(name, subscription))
             return
+        from gcs_coloc.sinks.terminal import LiveTable
+
         snapshots: dict[str, FleetSnapshot] = {}
-        live = LiveTable(console)
+        live = LiveTable(terminal)
         try:
             followers = [
                 group.create_task(_show_snapshots(name, subscription, snapshots, live)) for name, subscription in events.items()
@@ -60,6 +60,8 @@ async def show(events: Mapping[str, Subscription], console: SharedConsole) -> No
 
 
 async def _show_snapshots(name: str, subscription: Subscription, snapshots: dict[str, FleetSnapshot], live: LiveTable) -> None:
+    from gcs_coloc.sinks.fleet_table import FleetTables
+
     while True:
         event = await subscription.get()
         if isinstance(event, FleetSnapshot):
@@ -96,71 +98,29 @@ def _log_event(name: str, event: ToOperator) -> None:
     log.log(_LEVELS[level], "%s%s%s", _of(name), who, text)
 
 
-class SharedConsole(Console):
-    """A console on which one thread draws a table and others print lines above it.
+def terminal_of(stream: TextIO) -> SharedConsole | None:
+    """A console on the terminal behind `stream`, by a stream of its own; None where there is none.
 
-    rich works out how far up the table before begins, then draws: what another thread prints in between would leave a piece of
-    that table behind. `lock` is held while either is under way.
+    A service without a terminal starts without what draws on one: it is not imported.
     """
+    if not stream.isatty():
+        return None
+    from gcs_coloc.sinks.terminal import SharedConsole
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__(**options)
-        self.lock = threading.RLock()
-
-    def print(self, *objects: Any, **options: Any) -> None:
-        """Print as rich does, while nobody else prints."""
-        with self.lock:
-            super().print(*objects, **options)
+    console = SharedConsole(file=own_stream(stream))
+    return console if console.is_terminal else None
 
 
-class LiveTable:
-    """Always draws the newest table; those that came while the terminal was stopped are left out."""
+def log_to_stderr(level: str, terminal: SharedConsole | None, whose: str = "") -> None:
+    """Write the log from now on above the table on the terminal, else to stderr.
 
-    def __init__(self, console: SharedConsole) -> None:
-        self._console = console
-        self._newest: RenderableType | None = None
-        self._wake = threading.Event()
-        self._ending = False
-        self._drawing = threading.Thread(target=self._draw, name="table", daemon=True)
-        self._drawing.start()
-
-    def show(self, table: RenderableType) -> None:
-        """Draw a table in place of the one before; never waits. It is rendered on the thread."""
-        self._newest = table
-        self._wake.set()
-
-    def close(self) -> None:
-        """End with the last table on the screen; a terminal that is stopped is given up after a moment."""
-        self._ending = True
-        self._wake.set()
-        self._drawing.join(_LAST_TABLE_S)
-
-    def _draw(self) -> None:
-        # Standard output and error stay what they are: they would wait for this very terminal.
-        live = Live(console=self._console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
-        with self._console.lock:
-            live.start()
-        while not self._ending:
-            self._wake.wait()
-            self._wake.clear()
-            table, self._newest = self._newest, None
-            if table is not None:
-                with self._console.lock:
-                    live.update(table, refresh=True)
-        with self._console.lock:
-            live.stop()
-
-
-def log_to_stderr(level: str, console: SharedConsole, whose: str = "") -> None:
-    """Write the log to stderr from now on.
-
-    Where `console` is a terminal, the log stands above the table. Elsewhere each line has the name of its fleet, `whose`.
+    There each line begins with `whose` it is, where that is stated.
     """
     handler: logging.Handler
-    if console.is_terminal:
+    if terminal is not None:
         from rich.logging import RichHandler
 
-        handler = RichHandler(console=console, show_path=False)
+        handler = RichHandler(console=terminal, show_path=False)
         handler.setFormatter(logging.Formatter("%(message)s"))
     else:
         handler = LineHandler(own_stream(sys.stderr))

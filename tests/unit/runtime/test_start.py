@@ -35,7 +35,7 @@ def test_a_service_imports_what_only_observers_need_after_it_hears_vehicles():
     )
     loaded = set(json.loads(run(code)))
     assert "gcs_coloc.estimators" in loaded
-    assert not {"gcs_coloc.evaluation", "gcs_coloc.web", "mcap", "aiomqtt", "starlette", "uvicorn", "matplotlib"} & loaded
+    assert not {"gcs_coloc.evaluation", "gcs_coloc.web", "mcap", "aiomqtt", "starlette", "uvicorn", "matplotlib", "rich"} & loaded
 
 
 def test_the_linear_algebra_gets_one_thread():

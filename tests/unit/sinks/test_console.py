@@ -12,9 +12,10 @@ from rich.console import Console
 
 from gcs_coloc.core.messages.outbound import HealthChanged, Notice
 from gcs_coloc.core.snapshot import FleetSnapshot, OutSnapshot, VehicleSnapshot
-from gcs_coloc.sinks.console import SharedConsole, show
+from gcs_coloc.sinks.console import show
 from gcs_coloc.sinks.event_bus import EventBus
-from gcs_coloc.sinks.fleet_table import FleetTables, vehicle_line
+from gcs_coloc.sinks.fleet_lines import vehicle_line
+from gcs_coloc.sinks.fleet_table import FleetTables
 
 LOCATED = VehicleSnapshot(
     4,
@@ -138,7 +139,7 @@ def test_what_becomes_of_a_ground_tools_frames_is_told_on_the_table_and_in_plain
 
     async def scenario():
         events = EventBus()
-        task = asyncio.create_task(show({"north": events.subscribe()}, SharedConsole(file=io.StringIO())))
+        task = asyncio.create_task(show({"north": events.subscribe()}, None))
         await asyncio.sleep(0)
         events.publish(view)
         for _ in range(10):
@@ -157,7 +158,7 @@ def test_an_empty_fleet_says_so():
 def test_without_a_terminal_there_are_plain_lines_at_a_calm_rate(caplog: pytest.LogCaptureFixture):
     async def scenario():
         events = EventBus()
-        task = asyncio.create_task(show({"": events.subscribe()}, SharedConsole(file=io.StringIO())))
+        task = asyncio.create_task(show({"": events.subscribe()}, None))
         await asyncio.sleep(0)
         events.publish(HealthChanged(0.0, 4, "healthy", "failed", "no 3D fix"))
         events.publish(Notice(0.0, None, "error", "something"))

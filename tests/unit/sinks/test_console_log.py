@@ -85,9 +85,9 @@ def test_the_end_does_not_wait_for_a_reader_that_never_reads(slow):
 
 
 FAULTS = """
-import logging, sys, threading, warnings
-from gcs_coloc.sinks.console import SharedConsole, log_to_stderr, log_uncaught
-log_to_stderr("INFO", SharedConsole(file=sys.stderr, force_terminal=False), "north: ")
+import logging, threading, warnings
+from gcs_coloc.sinks.console import log_to_stderr, log_uncaught
+log_to_stderr("INFO", None, "north: ")
 log_uncaught()
 warnings.warn("of Python")
 fault = threading.Thread(target=lambda: {}["of a thread"])

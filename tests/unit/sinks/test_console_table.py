@@ -9,7 +9,7 @@ import time
 
 from rich.table import Table
 
-from gcs_coloc.sinks.console import LiveTable, SharedConsole
+from gcs_coloc.sinks.terminal import LiveTable, SharedConsole
 
 LINES = 150
 ESCAPE = re.compile(r"\x1b\[([\d;?]*)([A-Za-z])|(\r)|(\n)|([^\x1b\r\n]+)")
