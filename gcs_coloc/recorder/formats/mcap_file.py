@@ -11,7 +11,8 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from pydantic_core import to_json
 
 from gcs_coloc.recorder.formats.foxglove import FoxgloveMessages, well_known_schema
-from gcs_coloc.recorder.journal import NAMES, Entry, VehicleEntry, as_json, schema_of
+from gcs_coloc.recorder.journal import Entry, VehicleEntry
+from gcs_coloc.recorder.journal_json import NAMES, as_json, schema_of
 
 END_MARK = struct.pack("<BQI", Opcode.DATA_END, 4, 0) + struct.pack("<BQQQI", Opcode.FOOTER, 20, 0, 0, 0) + MCAP0_MAGIC
 """Ends an MCAP file without an index. Written behind the bytes of `pop`, it completes the file."""

@@ -25,17 +25,32 @@ def test_the_command_line_imports_nothing_of_the_flight_before_it_is_told_to_fly
     assert not {"numpy", "scipy", "pydantic", "pymavlink", "starlette", "matplotlib"} & set(loaded)
 
 
+NOT_FOR_THE_FIRST_MESSAGE = (
+    "gcs_coloc.evaluation",
+    "gcs_coloc.web",
+    "gcs_coloc.recorder.journal_json",
+    "gcs_coloc.recorder.recorder",
+    "aiomqtt",
+    "matplotlib",
+    "mcap",
+    "rich",
+    "scipy.special",
+    "starlette",
+    "uvicorn",
+)
+
+
 def test_a_service_imports_what_only_observers_need_after_it_hears_vehicles():
     code = (
         "import sys, json, asyncio\n"
         "from gcs_coloc.config.fleets import load_fleets\n"
         "from gcs_coloc.service.service import Service\n"
         "Service(load_fleets(None, {'links': ['udpin:127.0.0.1:1'], 'mqtt': {'host': 'localhost'}}))\n"
-        "print(json.dumps(['.'.join(m.split('.')[:2]) for m in sys.modules]))"
+        "print(json.dumps(list(sys.modules)))"
     )
-    loaded = set(json.loads(run(code)))
+    loaded = json.loads(run(code))
     assert "gcs_coloc.estimators" in loaded
-    assert not {"gcs_coloc.evaluation", "gcs_coloc.web", "mcap", "aiomqtt", "starlette", "uvicorn", "matplotlib", "rich"} & loaded
+    assert not set(NOT_FOR_THE_FIRST_MESSAGE) & set(loaded)
 
 
 def test_the_linear_algebra_gets_one_thread():
