@@ -159,12 +159,17 @@ class Recorder:
         """Write the queue; while there is no segment to write to, it stays queued."""
         waiting = len(self._items)
         while waiting and self._segment is not None:
-            items = [self._items.popleft() for _ in range(min(waiting, _BATCH_ITEMS))]
+            # Only what is written leaves the queue: a batch that fails is tried again, in its place.
+            items = [self._items[place] for place in range(min(waiting, _BATCH_ITEMS))]
             waiting -= len(items)
-            self._write(self._segment, items)
+            if self._write(self._segment, items):
+                for _ in items:
+                    self._items.popleft()
 
-    def _write(self, segment: LogSegment, items: list[_Item]) -> None:
-        size_before = segment.size
+    def _write(self, segment: LogSegment, items: list[_Item]) -> bool:
+        """Write a batch. False where nothing of it was written, True also where a half of it is lost."""
+        size_before, lost = segment.size, 0
+        told: dict[tuple[object, ...], SideChannelRecord] = {}
         try:
             segment = self._rotated(segment)
             size_before = segment.size
@@ -174,25 +179,26 @@ class Recorder:
                 if isinstance(item, tuple):
                     records += tlog_record(*item)
                 elif isinstance(item, SideChannelRecord):
+                    try:
+                        records += tlog_record(item.received_at_s, self._side_channel.pack(item))
+                    except ValueError:
+                        lost += 1  # too long for a frame
+                        continue
                     key = _lasting_key(item)
                     if key is not None:
-                        self._state[key] = item
-                    records += self._side_channel_record(item)
+                        told[key] = item
                 else:
                     entries.append(item)
             segment.write(bytes(records), entries)
         except OSError as error:
-            is_cut = segment.size > size_before  # one of its two files took them, and the other did not
-            if not is_cut:
-                self._items.extendleft(reversed(items))
-            self._fail(error, len(items) if is_cut else 0)
-
-    def _side_channel_record(self, record: SideChannelRecord) -> bytes:
-        try:
-            return tlog_record(record.received_at_s, self._side_channel.pack(record))
-        except ValueError:
-            self.counts.add(Refusal.NOT_RECORDED)
-            return b""
+            self._fail(error)
+            if segment.size == size_before:
+                return False
+            lost = len(items)  # one of its two files took them, and the other did not
+        if lost:
+            self.counts.add(Refusal.NOT_RECORDED, lost)
+        self._state |= told  # not before: the next segment would begin with what only follows in it
+        return True
 
     def _rotated(self, segment: LogSegment) -> LogSegment:
         if segment.size < self._rotate_bytes:
@@ -242,7 +248,7 @@ class Recorder:
         try:
             self._segment = self._open_segment()
         except OSError as error:
-            self._fail(error, 0)
+            self._fail(error)
 
     def _sync(self) -> None:
         if self._segment is None or self._segment.size == 0:
@@ -251,7 +257,7 @@ class Recorder:
             self._segment.sync()
             self._fault = None  # not before: a full disk still makes new files
         except OSError as error:
-            self._fail(error, 0)
+            self._fail(error)
 
     def _end(self, segment: LogSegment) -> None:
         try:
@@ -259,8 +265,7 @@ class Recorder:
         except OSError as error:
             self._fault = _fault_text(self._directory, error)
 
-    def _fail(self, error: OSError, items: int) -> None:
-        self.counts.add(Refusal.NOT_RECORDED, items)
+    def _fail(self, error: OSError) -> None:
         self._fault = _fault_text(self._directory, error)
         self._retry_at_s = time.monotonic() + _RETRY_S
         if self._segment is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import struct
@@ -14,6 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.errors import RecordError
 from gcs_coloc.core.messages.control import GpsOverride, OperatorCommand, RouteReport
+from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
 from gcs_coloc.mavlink.refusals import Refusal
 from gcs_coloc.recorder.recorder import Recorder
 from gcs_coloc.recorder.side_channel import read_side_channel
@@ -138,7 +140,7 @@ def test_a_disk_that_hangs_is_told_in_one_line_and_what_waits_is_bounded(tmp_pat
         assert recorder.pending_warning() is None
         for number in range(25_000):
             recorder.add_frame(AT_S + number * 0.01, frame)
-        assert recorder.counts[Refusal.NOT_RECORDED] == 5000
+        assert recorder.counts[Refusal.NOT_RECORDED] == 5001
         later_s = time.monotonic() + 6.0
         monkeypatch.setattr(time, "monotonic", lambda: later_s)
         level, text = recorder.pending_warning()
@@ -149,10 +151,50 @@ def test_a_disk_that_hangs_is_told_in_one_line_and_what_waits_is_bounded(tmp_pat
         monkeypatch.undo()
         go.set()
     recorder.close()
-    assert recorder.pending_warning() == ("info", "recording again; 5000 frames and entries were lost")
+    assert recorder.pending_warning() == ("info", "recording again; 5001 frames and entries were lost")
     [path] = tmp_path.glob("*.tlog")
-    assert sum(1 for _ in TlogReader(path)) == 1 + 1 + 20_000
+    assert sum(1 for _ in TlogReader(path)) == 1 + 20_000
     assert not TlogReader(path).counts
+
+
+def test_a_batch_that_fails_is_written_once_and_in_its_place_when_there_is_room_again(tmp_path, monkeypatch):
+    """The real files; only the system's write refuses, as it does on a full disk."""
+    real, full = os.pwrite, threading.Event()
+
+    def on_a_full_disk(*arguments):
+        if full.is_set():
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return real(*arguments)
+
+    def told():
+        records = [read_side_channel(record.frame, 0.0, OWN) for path in logs() for record in TlogReader(path)]
+        return [(read.record.override, read.repeated) for read in records if isinstance(read.record, OperatorCommand)]
+
+    def logs():
+        return sorted(tmp_path.glob("*.tlog"))
+
+    def wait_until(is_so):
+        until_s = time.monotonic() + 60.0
+        while not is_so():
+            assert time.monotonic() < until_s
+            time.sleep(0.01)
+
+    monkeypatch.setattr(os, "pwrite", on_a_full_disk)
+    monkeypatch.setattr("gcs_coloc.recorder.recorder._RETRY_S", 0.0)
+    recorder = Recorder(tmp_path, 10**9, *OWN)
+    recorder.open()
+    recorder.add_record(OperatorCommand(4, AT_S, GpsOverride.HEALTHY))
+    wait_until(lambda: any(path.stat().st_size for path in logs()))
+    full.set()
+    too_long = 10**30
+    recorder.add_record(PeerRange(3, AT_S, 4, 1 / 3, 1 / 3, AT_S, TimeBase.UNIX, too_long, 0.5, too_long))
+    recorder.add_record(OperatorCommand(4, AT_S, GpsOverride.FAILED))
+    wait_until(lambda: recorder.pending_warning() is not None)
+    full.clear()
+    recorder.close()
+    assert len(logs()) == 2
+    assert told() == [(GpsOverride.HEALTHY, False), (GpsOverride.HEALTHY, True), (GpsOverride.FAILED, False)]
+    assert recorder.counts[Refusal.NOT_RECORDED] == 1  # the range
 
 
 def test_a_directory_that_is_none_is_an_error_that_names_it(tmp_path):
