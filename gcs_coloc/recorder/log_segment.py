@@ -67,19 +67,26 @@ class LogSegment:
 
 
 def delete_oldest(directory: Path, most_bytes: int) -> None:
-    """Delete the oldest recorded files until the rest takes at most `most_bytes`.
+    """Delete the oldest log segments, both files of each, until the rest takes at most `most_bytes`.
 
-    A file that was written to in the last minute is not touched.
+    A segment that was written to in the last minute is not touched.
     """
-    files = [path for path in directory.glob("gcs-coloc-*") if path.suffix in (".tlog", ".mcap")]
-    found = {path: path.stat() for path in files}
-    total = sum(about.st_size for about in found.values())
+    found: dict[str, dict[Path, os.stat_result]] = {}
+    for path in directory.glob("gcs-coloc-*"):
+        if path.suffix in (".tlog", ".mcap"):
+            found.setdefault(path.stem, {})[path] = path.stat()
+    segments = [
+        (max(about.st_mtime for about in files.values()), sum(about.st_size for about in files.values()), list(files))
+        for files in found.values()
+    ]
+    total = sum(size for _, size, _ in segments)
     newest_s = time.time() - _IN_USE_S
-    for path, about in sorted(found.items(), key=lambda item: item[1].st_mtime):
-        if total <= most_bytes or about.st_mtime > newest_s:
+    for written_s, size, paths in sorted(segments):
+        if total <= most_bytes or written_s > newest_s:
             return
-        path.unlink()
-        total -= about.st_size
+        for path in paths:
+            path.unlink()
+        total -= size
 
 
 class _File:

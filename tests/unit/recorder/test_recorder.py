@@ -17,6 +17,7 @@ from gcs_coloc.core.errors import RecordError
 from gcs_coloc.core.messages.control import GpsOverride, OperatorCommand, RouteReport
 from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
 from gcs_coloc.mavlink.refusals import Refusal
+from gcs_coloc.recorder.log_segment import delete_oldest
 from gcs_coloc.recorder.recorder import Recorder
 from gcs_coloc.recorder.side_channel import read_side_channel
 from gcs_coloc.recorder.tlog import TlogReader, tlog_record
@@ -78,6 +79,22 @@ def test_the_oldest_recordings_are_deleted_beyond_a_limit_and_nothing_else(tmp_p
     recorder.open()
     recorder.close()
     assert [path.name[10:26] for path in tmp_path.glob("gcs-coloc-20260101*.tlog")] == ["20260101T000003Z"]
+
+
+@pytest.mark.parametrize("older", ["tlog", "mcap"])
+def test_both_files_of_a_segment_are_deleted_or_none(tmp_path, older):
+    now_s = time.time()
+    for i, age_s in enumerate((4000.0, 3000.0, 50.0)):
+        for suffix in ("tlog", "mcap"):
+            path = tmp_path / f"gcs-coloc-20260101T00000{i}Z-001.{suffix}"
+            path.write_bytes(bytes(10_000))
+            written_s = now_s - age_s - 100.0 * (suffix == older)
+            os.utime(path, (written_s, written_s))
+    delete_oldest(tmp_path, 55_000)
+    assert sorted(path.name[10:26] for path in tmp_path.glob("*.tlog")) == ["20260101T000001Z", "20260101T000002Z"]
+    assert len(list(tmp_path.iterdir())) == 4
+    delete_oldest(tmp_path, 0)
+    assert len(list(tmp_path.glob("*T000002Z*"))) == len(list(tmp_path.iterdir())) == 2  # one of the last was just written to
 
 
 def test_two_recordings_that_begin_in_one_second_get_names_of_their_own(tmp_path):
