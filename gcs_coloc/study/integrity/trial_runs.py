@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
@@ -95,7 +96,7 @@ def run_trials(options: RunOptions, done: Done) -> list[TrialScore]:
     make_output_directory(options.out, "--out")
     try:
         with path.open("a", encoding="utf-8") as file:
-            if not known and file.tell() == 0:
+            if file.tell() == 0:
                 file.write(json.dumps(header) + "\n")
             for score in iterate_tasks(partial(_fly, estimator=options.estimator), missing(), options.workers):
                 file.write(json.dumps(asdict(score)) + "\n")
@@ -114,9 +115,9 @@ def _fly(task: tuple[str, int], estimator: str) -> TrialScore:
 def _read(path: Path, header: dict[str, str]) -> dict[tuple[str, int], TrialScore]:
     if not path.exists():
         return {}
-    whole, _, cut_off = path.read_text(encoding="utf-8").rpartition("\n")
+    whole, end, cut_off = path.read_text(encoding="utf-8").rpartition("\n")
     if cut_off:  # the program was stopped while it wrote
-        path.write_text(whole + "\n", encoding="utf-8")
+        os.truncate(path, len((whole + end).encode()))
     try:
         found: Sequence[object] = [json.loads(line) for line in whole.splitlines()]
     except ValueError as error:

@@ -151,6 +151,18 @@ def test_a_line_that_was_cut_off_is_flown_again(flown, tmp_path):
     assert len(flown) == 3
 
 
+def test_a_header_that_was_cut_off_is_written_again(flown, tmp_path):
+    options = RunOptions(tmp_path, ("planes",), seeds=1)
+    file = tmp_path / "flights.jsonl"
+    run_trials(options, lambda _: None)
+    whole = file.read_text()
+    file.write_text(whole[:30])
+    assert len(run_trials(options, lambda _: None)) == 1
+    assert file.read_text() == whole
+    assert len(run_trials(options, lambda _: None)) == 1
+    assert len(flown) == 2
+
+
 def test_hours_end_the_run(flown, tmp_path):
     scores = run_trials(RunOptions(tmp_path, ("planes", "copters"), hours=1.2), lambda _: None)
     assert sum(score.under_aid_s for score in scores) == 3 * 1800.0
