@@ -12,6 +12,7 @@ import numpy as np
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.evaluation.evaluate import Evaluation, VehicleEvaluation
+from gcs_coloc.runtime.drawing import new_figure, save_figure
 
 _COLUMNS = ("dataset", "estimator", "id", "t_s", "e_m", "n_m", "u_m", "sigma_e_m", "sigma_n_m", "sigma_u_m", "bound_95_m",
             "true_e_m", "true_n_m", "true_u_m", "error_h_m", "error_3d_m")  # fmt: skip
@@ -54,13 +55,7 @@ def plot_evaluation(evaluation: Evaluation, path: Path | str) -> None:
         UsageError: matplotlib is not installed, or the ending is not one that it writes, or the file cannot be written.
 
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise UsageError('drawing needs matplotlib: pip install "gcs-coloc[plots]"') from error
-    figure = Figure(figsize=(12.0, 6.0 * len(evaluation.denied)), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure((12.0, 6.0 * len(evaluation.denied)))
     figure.suptitle(f"{evaluation.dataset}: {evaluation.estimator}")
     rows = figure.subplots(2 * len(evaluation.denied), 2, squeeze=False)
     for i, denied_vehicle in enumerate(evaluation.denied):
@@ -69,10 +64,7 @@ def plot_evaluation(evaluation: Evaluation, path: Path | str) -> None:
             axes.remove()
         track = figure.add_subplot(grid[2 * i : 2 * i + 2, 0])
         _draw(denied_vehicle, track, rows[2 * i, 1], rows[2 * i + 1, 1])
-    try:
-        figure.savefig(path, dpi=110)
-    except (OSError, ValueError) as error:
-        raise UsageError(f"{path}: cannot be written: {error}") from error
+    save_figure(figure, path)
 
 
 def _draw(denied_vehicle: VehicleEvaluation, track: Any, error: Any, nis: Any) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 from gcs_coloc.core.errors import DataError, UsageError
 from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.estimators.qu_zhang.cv_filter import transition, white_acceleration_noise
+from gcs_coloc.runtime.drawing import new_figure, save_figure
 from sitl_fakes.faults import GpsLost
 from sitl_fakes.fleet import Fleet
 from sitl_fakes.scenario import Scenario, ScenarioError, load_scenario
@@ -132,23 +133,14 @@ def plot_bounds(bounds: dict[int, Bound], path: Path) -> None:
     Raises:
         UsageError: matplotlib is not installed, or the file cannot be written.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise UsageError('drawing needs matplotlib: pip install "gcs-coloc[plots]"') from error
-    figure = Figure(figsize=(9.0, 4.5), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure((9.0, 4.5))
     axes = figure.add_subplot()
     for sysid, bound in bounds.items():
         axes.plot(bound.times_s, bound.horizontal_sigma_m, label=f"vehicle {sysid}")
     axes.set(xlabel="time, s", ylabel="least horizontal RMSE, m", title="Posterior Cramer-Rao bound")
     axes.grid(alpha=0.3)
     axes.legend()
-    try:
-        figure.savefig(path, dpi=110)
-    except (OSError, ValueError) as error:
-        raise UsageError(f"{path}: cannot be written: {error}") from error
+    save_figure(figure, path)
 
 
 def _flown(scenario: Scenario, seed: int) -> tuple[FloatArray, FloatArray, list[int]]:

@@ -16,6 +16,7 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -26,6 +27,7 @@ from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.errors import GcsColocError, UsageError
 from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.runtime.drawing import new_figure, save_figure
 from gcs_coloc.runtime.output_paths import make_output_directory
 from gcs_coloc.study.closed_loop import Flight, Sample, fly
 from sitl_fakes.scenario import Scenario, ScenarioError, load_scenario
@@ -58,7 +60,7 @@ def run_demo(out: Path, scenario_file: str, estimator: str, seed: int) -> None:
     The aircraft fly live for 90 s; then the whole flight is simulated.
 
     Raises:
-        UsageError: the scenario cannot be read, or the directory cannot be made.
+        UsageError: the scenario cannot be read, matplotlib is not installed, or the directory or picture cannot be written.
         GcsColocError: the service or the aircraft stopped early.
     """
     console = Console()
@@ -67,6 +69,7 @@ def run_demo(out: Path, scenario_file: str, estimator: str, seed: int) -> None:
     except ScenarioError as error:
         raise UsageError(str(error)) from None
     make_output_directory(out, "--out")
+    figure = new_figure((12.0, 6.2))  # before minutes of flight: it may be that there is no matplotlib
     lost_s = min(fault.at_s for fault in scenario.fault if fault.vehicle == DENIED)
     console.print(
         f"[bold]1. Live[/], over loopback UDP, {LIVE_S:.0f} s: four aircraft at {scenario.airspeed_mps:.0f} m/s, "
@@ -82,8 +85,9 @@ def run_demo(out: Path, scenario_file: str, estimator: str, seed: int) -> None:
     console.print(f"\n[bold]2. The whole flight[/], {scenario.duration_s:.0f} s, through the same engine in process.")
     with_service, without = _fly_whole(scenario, estimator, seed, console)
     _report(scenario, lost_s, live, with_service, without, console)
+    draw(figure, scenario, DENIED, lost_s, with_service, without)
     picture = out / "demo.png"
-    draw(scenario, DENIED, lost_s, with_service, without, picture)
+    save_figure(figure, picture)
     console.print(f"\nTrack and error: {picture}")
 
 
@@ -215,17 +219,11 @@ def _free_port() -> int:
         return port
 
 
-def draw(scenario: Scenario, denied_vehicle: int, lost_s: float, with_service: Flight, without: Flight, path: Path) -> None:
-    """Write a PNG of the flight: tracks on the left, errors and HDOP over time on the right.
+def draw(figure: Any, scenario: Scenario, denied_vehicle: int, lost_s: float, with_service: Flight, without: Flight) -> None:
+    """Draw the flight: tracks on the left, errors and HDOP over time on the right.
 
     The errors are that of the service's position, with its 95 % bound, and the distance off the route.
     """
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure = plt.figure(figsize=(12, 6.2), layout="constrained")
     grid = figure.add_gridspec(3, 2, width_ratios=(1.15, 1))
     track, error, route, hdop = (figure.add_subplot(grid[:, 0]), *(figure.add_subplot(grid[i, 1]) for i in range(3)))
 
@@ -266,8 +264,6 @@ def draw(scenario: Scenario, denied_vehicle: int, lost_s: float, with_service: F
         axes.axvline(lost_s, color="k", lw=0.8)
         axes.set_xlim(0, scenario.duration_s)
         axes.grid(alpha=0.3)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
 
 
 def _track(samples: list[Sample]) -> tuple[list[float], list[float]]:

@@ -14,6 +14,7 @@ from rich.table import Table
 
 from gcs_coloc import __version__
 from gcs_coloc.core.errors import UsageError
+from gcs_coloc.runtime.drawing import new_figure, save_figure
 from gcs_coloc.runtime.output_paths import make_output_directory
 from gcs_coloc.study.paper import FLEET, FilterScore, PaperStudy, Row
 
@@ -135,11 +136,6 @@ def _score(score: FilterScore) -> dict[str, float | None]:
 
 
 def _draw_figures(study: PaperStudy, out_dir: Path) -> list[Path]:
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise UsageError('drawing needs matplotlib: pip install "gcs-coloc[plots]"') from error
     written = []
     for name, size, draw in (
         ("figure5.png", (8.0, 8.0), _trajectories),
@@ -147,10 +143,9 @@ def _draw_figures(study: PaperStudy, out_dir: Path) -> list[Path]:
         ("figure7.png", (9.0, 6.5), _error_and_hdop),
         ("honesty.png", (10.0, 2.4 * len(study.series)), _honesty),
     ):
-        figure = Figure(figsize=size, layout="constrained")
-        FigureCanvasAgg(figure)
+        figure = new_figure(size)
         draw(figure, study)
-        figure.savefig(out_dir / name, dpi=70)
+        save_figure(figure, out_dir / name, dpi=70)
         written.append(out_dir / name)
     return written
 

@@ -9,6 +9,7 @@ from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.stations.stations import Station, StationPosition
 from gcs_coloc.core.telemetry.measurement_settings import MeasurementSettings
 from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.runtime.drawing import new_figure, save_figure
 from gcs_coloc.study.closed_loop import Flight, fly
 from gcs_coloc.study.demo import draw, figures
 from sitl_fakes.faults import GpsLost
@@ -134,5 +135,7 @@ def test_the_demo_counts_and_draws(with_and_without, tmp_path):
     assert with_service.navigation_rms_m < without.navigation_rms_m
     assert without.rmse_m is None
     picture = tmp_path / "demo.png"
-    draw(uwb(), 4, LOST_S, on, off, picture)
+    figure = new_figure((12.0, 6.2))
+    draw(figure, uwb(), 4, LOST_S, on, off)
+    save_figure(figure, picture)
     assert picture.read_bytes().startswith(b"\x89PNG")
