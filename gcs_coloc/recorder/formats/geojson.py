@@ -48,8 +48,7 @@ def map_shapes(history: FlightHistory) -> Iterator[tuple[str, Any, dict[str, Any
                 # One time for each point, in ms since 1970, as Leaflet.TimeDimension and kepler.gl read it.
                 times = {"times": [round(entry.at_s * 1e3) for entry in stretch]}
                 yield "LineString", [_point(entry.vehicle) for entry in stretch], properties | times
-            if properties["without_gps"]:
-                yield from _ellipses(stretch)
+        yield from _ellipses(track)
 
 
 def station_points(history: FlightHistory) -> Iterator[tuple[tuple[float, float, float], dict[str, Any]]]:
@@ -68,10 +67,12 @@ def station_points(history: FlightHistory) -> Iterator[tuple[tuple[float, float,
             yield (station.lon_deg, station.lat_deg, station.alt_msl_m), properties
 
 
-def _ellipses(stretch: Sequence[VehicleEntry]) -> Iterator[tuple[str, Any, dict[str, Any]]]:
+def _ellipses(track: Sequence[VehicleEntry]) -> Iterator[tuple[str, Any, dict[str, Any]]]:
+    """The ellipses of the entries without GPS. A stretch of the track is no guide: it ends with the first entry of the next."""
     due_s = float("-inf")
-    for entry in stretch:
-        ring = ellipse_ring(entry.vehicle) if entry.at_s >= due_s else None
+    for entry in track:
+        is_due = entry.vehicle.gps_state in WITHOUT_GPS and entry.at_s >= due_s
+        ring = ellipse_ring(entry.vehicle) if is_due else None
         if ring is not None:
             due_s = entry.at_s + ELLIPSE_PERIOD_S
             properties = _properties(entry.vehicle) | {"unix_s": entry.at_s, "sigma_h_m": entry.vehicle.sigma_h_m, "sigmas": 2}
