@@ -20,7 +20,7 @@ from gcs_coloc.recorder.journal import VehicleEntry
 
 ELLIPSE_PERIOD_S = 1.0  # chosen: as dense as a map shows
 _ELLIPSE_CORNERS = 24  # chosen: round on a screen
-_ELLIPSE_SIGMAS = 2.0
+_ELLIPSE_SIGMAS = 2
 """Holds 86 % of the true positions where the covariance is right."""
 
 
@@ -75,8 +75,8 @@ def _ellipses(track: Sequence[VehicleEntry]) -> Iterator[tuple[str, Any, dict[st
         ring = ellipse_ring(entry.vehicle) if is_due else None
         if ring is not None:
             due_s = entry.at_s + ELLIPSE_PERIOD_S
-            properties = _properties(entry.vehicle) | {"unix_s": entry.at_s, "sigma_h_m": entry.vehicle.sigma_h_m, "sigmas": 2}
-            yield "Polygon", [[(lon, lat) for lat, lon in ring]], properties
+            about = {"unix_s": entry.at_s, "sigma_h_m": entry.vehicle.sigma_h_m, "sigmas": _ELLIPSE_SIGMAS}
+            yield "Polygon", [[(lon, lat) for lat, lon in ring]], _properties(entry.vehicle) | about
 
 
 def _stretches(track: Sequence[VehicleEntry]) -> Iterator[list[VehicleEntry]]:
