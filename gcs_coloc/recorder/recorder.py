@@ -158,11 +158,11 @@ class Recorder:
     def _write_waiting(self) -> None:
         """Write the queue; while there is no segment to write to, it stays queued."""
         waiting = len(self._items)
-        while waiting and self._segment is not None:
+        while waiting and (segment := self._segment_with_room()) is not None:
             # Only what is written leaves the queue: a batch that fails is tried again, in its place.
             items = [self._items[place] for place in range(min(waiting, _BATCH_ITEMS))]
             waiting -= len(items)
-            if self._write(self._segment, items):
+            if self._write(segment, items):
                 for _ in items:
                     self._items.popleft()
 
@@ -171,8 +171,6 @@ class Recorder:
         size_before, lost = segment.size, 0
         told: dict[tuple[object, ...], SideChannelRecord] = {}
         try:
-            segment = self._rotated(segment)
-            size_before = segment.size
             records = self._head(items[0]) if segment.size == 0 else bytearray()
             entries: list[Entry] = []
             for item in items:
@@ -200,12 +198,11 @@ class Recorder:
         self._state |= told  # not before: the next segment would begin with what only follows in it
         return True
 
-    def _rotated(self, segment: LogSegment) -> LogSegment:
-        if segment.size < self._rotate_bytes:
-            return segment
-        self._segment = None
-        self._end(segment)
-        self._segment = self._open_segment()
+    def _segment_with_room(self) -> LogSegment | None:
+        if self._segment is not None and self._segment.size >= self._rotate_bytes:
+            self._end(self._segment)
+            self._segment = None
+            self._try_to_open()
         return self._segment
 
     def _head(self, first: _Item) -> bytearray:

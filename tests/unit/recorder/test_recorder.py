@@ -174,9 +174,10 @@ def test_a_disk_that_hangs_is_told_in_one_line_and_what_waits_is_bounded(tmp_pat
     assert not TlogReader(path).counts
 
 
-def test_a_batch_that_fails_is_written_once_and_in_its_place_when_there_is_room_again(tmp_path, monkeypatch):
-    """The real files; only the system's write refuses, as it does on a full disk."""
-    real, full = os.pwrite, threading.Event()
+@pytest.mark.parametrize(("call", "rotate_bytes"), [("pwrite", 10**9), ("open", 1)])
+def test_a_batch_that_fails_is_written_once_and_in_its_place_when_there_is_room_again(call, rotate_bytes, tmp_path, monkeypatch):
+    """The real files; only the system refuses to write, or to make the next segment, as it does on a full disk."""
+    real, full = getattr(os, call), threading.Event()
 
     def on_a_full_disk(*arguments):
         if full.is_set():
@@ -196,9 +197,9 @@ def test_a_batch_that_fails_is_written_once_and_in_its_place_when_there_is_room_
             assert time.monotonic() < until_s
             time.sleep(0.01)
 
-    monkeypatch.setattr(os, "pwrite", on_a_full_disk)
+    monkeypatch.setattr(os, call, on_a_full_disk)
     monkeypatch.setattr("gcs_coloc.recorder.recorder._RETRY_S", 0.0)
-    recorder = Recorder(tmp_path, 10**9, *OWN)
+    recorder = Recorder(tmp_path, rotate_bytes, *OWN)
     recorder.open()
     recorder.add_record(OperatorCommand(4, AT_S, GpsOverride.HEALTHY))
     wait_until(lambda: any(path.stat().st_size for path in logs()))
