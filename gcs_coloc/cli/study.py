@@ -35,7 +35,7 @@ def demo(
     estimator: Annotated[str, typer.Option(help="fleet, qu_zhang, or a plug-in.")] = "fleet",
     seed: Annotated[int, typer.Option(help="Seed of the simulated aircraft's noise.")] = 1,
 ) -> None:
-    """Fly the paper's four aircraft: live for 90 s, then the whole flight in process; report and draw."""
+    """Fly simulated aircraft: live for 90 s, then the whole flight in process; report and draw."""
     from gcs_coloc.study.demo import run_demo
 
     run_demo(out, scenario, estimator, seed)

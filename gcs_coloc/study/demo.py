@@ -1,4 +1,4 @@
-"""The demo: the paper's four aircraft fly with the service.
+"""The demo: simulated aircraft, by default the paper's four, fly with the service.
 
 First they fly live over loopback UDP, then the whole flight is simulated with and without the service.
 
@@ -8,6 +8,7 @@ First they fly live over loopback UDP, then the whole flight is simulated with a
 from __future__ import annotations
 
 import csv
+import json
 import os
 import socket
 import subprocess
@@ -22,6 +23,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from gcs_coloc.config.sections import StationConfig
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
@@ -30,10 +32,12 @@ from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.runtime.drawing import new_figure, save_figure
 from gcs_coloc.runtime.output_paths import make_output_directory
 from gcs_coloc.study.closed_loop import Flight, Sample, fly
-from sitl_fakes.scenario import Scenario, ScenarioError, load_scenario
+from sitl_fakes.faults import GpsLost
+from sitl_fakes.geodesy import WorldFrame
+from sitl_fakes.scenario import Scenario, ScenarioError, Vehicle, load_scenario
 
 LIVE_S = 90.0
-DENIED = 4  # source: the paper's UAV 4
+_LOST_WITHIN_S = 60.0  # chosen: a third of the live part at least is flown without GPS
 AIDED_SOURCE = "gps2 injected"
 
 
@@ -60,7 +64,8 @@ def run_demo(out: Path, scenario_file: str, estimator: str, seed: int) -> None:
     The aircraft fly live for 90 s; then the whole flight is simulated.
 
     Raises:
-        UsageError: the scenario cannot be read, matplotlib is not installed, or the directory or picture cannot be written.
+        UsageError: the scenario cannot be read, or no vehicle loses its GPS in it early enough; matplotlib is not installed; the
+            directory or the picture cannot be written.
         GcsColocError: the service or the aircraft stopped early.
     """
     console = Console()
@@ -68,31 +73,56 @@ def run_demo(out: Path, scenario_file: str, estimator: str, seed: int) -> None:
         scenario = load_scenario(scenario_file)
     except ScenarioError as error:
         raise UsageError(str(error)) from None
+    loss = _first_loss(scenario, scenario_file)
     make_output_directory(out, "--out")
     figure = new_figure((12.0, 6.2))  # before minutes of flight: it may be that there is no matplotlib
-    lost_s = min(fault.at_s for fault in scenario.fault if fault.vehicle == DENIED)
     console.print(
-        f"[bold]1. Live[/], over loopback UDP, {LIVE_S:.0f} s: four aircraft at {scenario.airspeed_mps:.0f} m/s, "
-        f"UAV{DENIED} loses its GPS at {lost_s:.0f} s."
+        f"[bold]1. Live[/], over loopback UDP, {LIVE_S:.0f} s: {len(scenario.vehicle)} aircraft at "
+        f"{scenario.airspeed_mps:.0f} m/s, UAV{loss.vehicle} loses its GPS at {loss.at_s:.0f} s."
     )
-    check = next(v.params["EK3_GPS_CHECK"] for v in scenario.vehicle if v.sysid == DENIED)
-    console.print(
-        f"   The paper's noise (GPS {scenario.gps.sigma_h_m:.0f} m, ranges {scenario.ranging.sigma_m:.0f} m) makes positions "
-        f"coarser than EKF3 takes by default: UAV{DENIED} flies with EK3_GPS_CHECK={check:.0f}, as its operator would have to "
-        f"decide. The service's alert limit is the scenario's, {scenario.alert_limit_m:.0f} m."
-    )
-    live = _fly_live(scenario_file, scenario.alert_limit_m, estimator, seed, out, console)
+    check = _vehicle(scenario, loss.vehicle).params.get("EK3_GPS_CHECK")
+    if check is not None:
+        console.print(
+            f"   The noise (GPS {scenario.gps.sigma_h_m:.0f} m, ranges {scenario.ranging.sigma_m:.0f} m) makes positions coarser "
+            f"than EKF3 takes by default: UAV{loss.vehicle} flies with EK3_GPS_CHECK={check:.0f}, as its operator would have to "
+            "decide."
+        )
+    console.print(f"   The service's alert limit is the scenario's, {scenario.alert_limit_m:.0f} m.")
+    live = _fly_live(scenario, scenario_file, loss.vehicle, estimator, seed, out, console)
     console.print(f"\n[bold]2. The whole flight[/], {scenario.duration_s:.0f} s, through the same engine in process.")
     with_service, without = _fly_whole(scenario, estimator, seed, console)
-    _report(scenario, lost_s, live, with_service, without, console)
-    draw(figure, scenario, DENIED, lost_s, with_service, without)
+    _report(scenario, loss, live, with_service, without, console)
+    draw(figure, scenario, loss, with_service, without)
     picture = out / "demo.png"
     save_figure(figure, picture)
     console.print(f"\nTrack and error: {picture}")
 
 
+def _first_loss(scenario: Scenario, scenario_file: str) -> GpsLost:
+    within_s = min(_LOST_WITHIN_S, scenario.duration_s)
+    losses = [fault for fault in scenario.fault if isinstance(fault, GpsLost) and fault.at_s < within_s]
+    if not losses:
+        raise UsageError(
+            f"{scenario_file}: no vehicle loses its GPS in the first {within_s:.0f} s, so there is nothing to show; "
+            'state a fault of kind "gps_lost"'
+        )
+    return min(losses, key=lambda fault: fault.at_s)
+
+
+def _vehicle(scenario: Scenario, sysid: int) -> Vehicle:
+    return next(vehicle for vehicle in scenario.vehicle if vehicle.sysid == sysid)
+
+
+def _stations(scenario: Scenario) -> list[dict[str, float]]:
+    """Where the scenario's stations stand, as the service's configuration has it."""
+    o = scenario.origin
+    frame = WorldFrame(o.lat_deg, o.lon_deg, o.alt_msl_m, o.geoid_height_m)
+    places = [(station.id, *frame.to_lla(station.east_m, station.north_m, station.height_m)) for station in scenario.station]
+    return [dict(zip(("id", "lat_deg", "lon_deg", "alt_m"), place, strict=True)) for place in places]
+
+
 def _fly_live(
-    scenario_file: str, alert_limit_m: float, estimator: str, seed: int, out: Path, console: Console
+    scenario: Scenario, scenario_file: str, denied_vehicle: int, estimator: str, seed: int, out: Path, console: Console
 ) -> list[dict[str, str]]:
     port, truth = _free_port(), out / "live-truth.csv"
     truth.unlink(missing_ok=True)
@@ -100,7 +130,11 @@ def _fly_live(
     with service_log.open("w") as service_out, fakes_log.open("w") as fakes_out:
         service = subprocess.Popen(  # noqa: S603 - our own program with our own arguments
             [sys.executable, "-m", "gcs_coloc", "--udp", f"127.0.0.1:{port}", "--estimator", estimator],
-            env={**os.environ, "GCS_COLOC_AIDING__ALERT_LIMIT_M": str(alert_limit_m)},
+            env={
+                **os.environ,
+                "GCS_COLOC_AIDING__ALERT_LIMIT_M": str(scenario.alert_limit_m),
+                "GCS_COLOC_STATION": json.dumps(_stations(scenario)),
+            },
             stdout=service_out,
             stderr=subprocess.STDOUT,
         )
@@ -111,7 +145,7 @@ def _fly_live(
             stderr=subprocess.STDOUT,
         )
         try:
-            _watch(fakes, service, truth, console)
+            _watch(fakes, service, truth, denied_vehicle, console)
         finally:
             for process in (fakes, service):
                 process.terminate()
@@ -119,10 +153,12 @@ def _fly_live(
     if fakes.returncode not in (0, -15) or not truth.exists():
         raise GcsColocError(f"the simulated aircraft stopped early; see {fakes_log}")
     with truth.open(newline="") as file:
-        return [row for row in csv.DictReader(file) if int(row["sysid"]) == DENIED]
+        return [row for row in csv.DictReader(file) if int(row["sysid"]) == denied_vehicle]
 
 
-def _watch(fakes: subprocess.Popen[bytes], service: subprocess.Popen[bytes], truth: Path, console: Console) -> None:
+def _watch(
+    fakes: subprocess.Popen[bytes], service: subprocess.Popen[bytes], truth: Path, denied_vehicle: int, console: Console
+) -> None:
     columns = (TextColumn("   "), BarColumn(), TextColumn("{task.completed:.0f} s  {task.description}"), TimeElapsedColumn())
     last_line = time.monotonic()
     with Progress(*columns, console=console) as progress:
@@ -131,18 +167,18 @@ def _watch(fakes: subprocess.Popen[bytes], service: subprocess.Popen[bytes], tru
             if service.poll() is not None:
                 raise GcsColocError(f"the service stopped early with exit code {service.returncode}; see its log")
             time.sleep(0.5)
-            row = _last_row(truth)
+            row = _last_row(truth, denied_vehicle)
             if row is None:
                 continue
-            text = f"UAV{DENIED} navigates on {row['source']}, {float(row['off_route_m']):.0f} m off its route"
+            text = f"UAV{denied_vehicle} navigates on {row['source']}, {float(row['off_route_m']):.0f} m off its route"
             progress.update(task, completed=float(row["at_s"]), description=text)
             if not console.is_terminal and time.monotonic() - last_line >= 10.0:
                 last_line = time.monotonic()
                 console.print(f"   {float(row['at_s']):.0f} s  {text}")
 
 
-def _last_row(truth: Path) -> dict[str, str] | None:
-    """The newest whole row of the denied vehicle in a truth file that is still being written."""
+def _last_row(truth: Path, sysid: int) -> dict[str, str] | None:
+    """The newest whole row of a vehicle in a truth file that is still being written."""
     if not truth.exists():
         return None
     with truth.open("rb") as file:
@@ -151,7 +187,7 @@ def _last_row(truth: Path) -> dict[str, str] | None:
         file.seek(max(0, size - 4096))
         lines = file.read().decode().split("\n")[1:-1]
     rows = [dict(zip(header, line.strip().split(","), strict=False)) for line in lines]
-    mine = [row for row in rows if row.get("sysid") == str(DENIED)]
+    mine = [row for row in rows if row.get("sysid") == str(sysid)]
     return mine[-1] if mine else None
 
 
@@ -165,13 +201,14 @@ def _fly_whole(scenario: Scenario, estimator: str, seed: int, console: Console) 
 
 
 def _fly_one(scenario: Scenario, estimator: str, seed: int, aided: bool) -> Flight:
-    settings = EngineSettings(aiding=AidingSettings(alert_limit_m=scenario.alert_limit_m))
+    stations = tuple(StationConfig.model_validate(station).station() for station in _stations(scenario))
+    settings = EngineSettings(aiding=AidingSettings(alert_limit_m=scenario.alert_limit_m), stations=stations)
     return fly(scenario, seed, Engine(load_estimator(estimator, {}), settings), aided=aided)
 
 
-def figures(flight: Flight, lost_s: float, aided: bool) -> Figures:
+def figures(flight: Flight, loss: GpsLost, aided: bool) -> Figures:
     """The figures of the denied vehicle's flight from the loss of its GPS on."""
-    samples = [s for s in flight.samples[DENIED] if s.at_s >= lost_s]
+    samples = [s for s in flight.samples[loss.vehicle] if s.at_s >= loss.at_s]
     off_m = np.array([s.truth.off_route_m for s in samples])
     errors_m = np.array([np.hypot(s.error_enu_m[0], s.error_enu_m[1]) for s in samples if s.error_enu_m is not None])
     hdops = [s.hdop for s in samples if s.hdop is not None]
@@ -189,17 +226,17 @@ def figures(flight: Flight, lost_s: float, aided: bool) -> Figures:
 
 
 def _report(
-    scenario: Scenario, lost_s: float, live: list[dict[str, str]], with_service: Flight, without: Flight, console: Console
+    scenario: Scenario, loss: GpsLost, live: list[dict[str, str]], with_service: Flight, without: Flight, console: Console
 ) -> None:
-    after = [row for row in live if float(row["at_s"]) >= lost_s + 5.0]
+    after = [row for row in live if float(row["at_s"]) >= loss.at_s + 5.0]
     on_aid = sum(row["source"] == AIDED_SOURCE for row in after) / max(len(after), 1)
     off_m = [float(row["off_route_m"]) for row in after]
-    console.print(f"\n[bold]Report[/], UAV{DENIED} after the loss of its GPS at {lost_s:.0f} s")
+    console.print(f"\n[bold]Report[/], UAV{loss.vehicle} after the loss of its GPS at {loss.at_s:.0f} s")
     console.print(
         f"   live, {LIVE_S:.0f} s with the service:  flew on GPS_INPUT {on_aid:.0%} of the time, "
         f"at most {max(off_m, default=float('nan')):.0f} m off its route"
     )
-    on, off = figures(with_service, lost_s, aided=True), figures(without, lost_s, aided=False)
+    on, off = figures(with_service, loss, aided=True), figures(without, loss, aided=False)
     console.print(f"   whole flight, {scenario.duration_s:.0f} s      off its route       off in its own position")
     console.print("                               rms      most          rms      most")
     for name, f in (("with the service", on), ("without", off)):
@@ -207,8 +244,8 @@ def _report(
         console.print(f"   {name:<24}{route}   {f.navigation_rms_m:8.0f} m{f.navigation_most_m:8.0f} m")
     if on.rmse_m is not None:
         console.print(
-            f"   the service's own position of UAV{DENIED}: RMSE {on.rmse_m:.1f} m, known {on.located:.1%} of the time, "
-            f"median HDOP {on.hdop:.1f}; {with_service.gps_inputs.get(DENIED, 0)} GPS_INPUT sent"
+            f"   the service's own position of UAV{loss.vehicle}: RMSE {on.rmse_m:.1f} m, known {on.located:.1%} of the time, "
+            f"median HDOP {on.hdop:.1f}; {with_service.gps_inputs.get(loss.vehicle, 0)} GPS_INPUT sent"
         )
 
 
@@ -219,11 +256,12 @@ def _free_port() -> int:
         return port
 
 
-def draw(figure: Any, scenario: Scenario, denied_vehicle: int, lost_s: float, with_service: Flight, without: Flight) -> None:
+def draw(figure: Any, scenario: Scenario, loss: GpsLost, with_service: Flight, without: Flight) -> None:
     """Draw the flight: tracks on the left, errors and HDOP over time on the right.
 
     The errors are that of the service's position, with its 95 % bound, and the distance off the route.
     """
+    denied_vehicle = loss.vehicle
     grid = figure.add_gridspec(3, 2, width_ratios=(1.15, 1))
     track, error, route, hdop = (figure.add_subplot(grid[:, 0]), *(figure.add_subplot(grid[i, 1]) for i in range(3)))
 
@@ -235,11 +273,11 @@ def draw(figure: Any, scenario: Scenario, denied_vehicle: int, lost_s: float, wi
     fleet.set_title("the fleet, km", fontsize=8)
     fleet.tick_params(labelsize=7)
     fleet.set_aspect("equal", adjustable="datalim")
-    waypoints = np.array(next(v.waypoints for v in scenario.vehicle if v.sysid == denied_vehicle)) / 1e3
+    waypoints = np.array(_vehicle(scenario, denied_vehicle).waypoints) / 1e3
     track.plot(waypoints[:, 0], waypoints[:, 1], "k:", lw=1, marker="s", ms=4, label=f"UAV{denied_vehicle}: planned route")
     track.plot(*_track(without.samples[denied_vehicle]), color="#d55e00", lw=1.5, label="flown without the service")
     track.plot(*_track(with_service.samples[denied_vehicle]), color="#0072b2", lw=1.8, label="flown with the service")
-    at_loss = next(s for s in with_service.samples[denied_vehicle] if s.at_s >= lost_s)
+    at_loss = next(s for s in with_service.samples[denied_vehicle] if s.at_s >= loss.at_s)
     track.plot(at_loss.truth.east_m / 1e3, at_loss.truth.north_m / 1e3, "kx", ms=9, mew=2, label="GPS lost")
     track.set(xlabel="east, km", ylabel="north, km", title=f"UAV{denied_vehicle}: planned and flown")
     track.set_aspect("equal", adjustable="datalim")
@@ -261,7 +299,7 @@ def draw(figure: Any, scenario: Scenario, denied_vehicle: int, lost_s: float, wi
     hdop.plot([s.at_s for s in with_hdop], [s.hdop for s in with_hdop], color="#009e73", lw=1)
     hdop.set(ylabel="HDOP", xlabel="time, s", ylim=(0, 12))
     for axes in (error, route, hdop):
-        axes.axvline(lost_s, color="k", lw=0.8)
+        axes.axvline(loss.at_s, color="k", lw=0.8)
         axes.set_xlim(0, scenario.duration_s)
         axes.grid(alpha=0.3)
 

@@ -130,12 +130,13 @@ def test_the_aircraft_without_gps_flies_its_route_with_the_service_and_leaves_it
 
 def test_the_demo_counts_and_draws(with_and_without, tmp_path):
     on, off = with_and_without
-    with_service, without = figures(on, LOST_S, aided=True), figures(off, LOST_S, aided=False)
+    loss = GpsLost(vehicle=4, at_s=LOST_S)
+    with_service, without = figures(on, loss, aided=True), figures(off, loss, aided=False)
     assert with_service.located == 1.0
     assert with_service.navigation_rms_m < without.navigation_rms_m
     assert without.rmse_m is None
     picture = tmp_path / "demo.png"
     figure = new_figure((12.0, 6.2))
-    draw(figure, uwb(), 4, LOST_S, on, off)
+    draw(figure, uwb(), loss, on, off)
     save_figure(figure, picture)
     assert picture.read_bytes().startswith(b"\x89PNG")
