@@ -46,7 +46,7 @@ class Figures:
     """How the denied vehicle's flight went from the loss of its GPS on.
 
     Lengths are in m. `rmse_m`, `located` (share of the time) and `hdop` are the service's; None without it. `navigation_*` is how
-    far the autopilot's own idea of its position was off.
+    far the autopilot's own idea of its position was off; NaN where it never had one.
     """
 
     off_route_rms_m: float
@@ -212,8 +212,14 @@ def figures(flight: Flight, loss: GpsLost, aided: bool) -> Figures:
     off_m = np.array([s.truth.off_route_m for s in samples])
     errors_m = np.array([np.hypot(s.error_enu_m[0], s.error_enu_m[1]) for s in samples if s.error_enu_m is not None])
     hdops = [s.hdop for s in samples if s.hdop is not None]
-    believed = [(s.truth.estimate_east_m or 0.0, s.truth.estimate_north_m or 0.0) for s in samples]
-    navigation_m = np.hypot(*(np.array(believed) - [(s.truth.east_m, s.truth.north_m) for s in samples]).T)
+    navigation_m = np.array(
+        [
+            np.hypot(t.estimate_east_m - t.east_m, t.estimate_north_m - t.north_m)
+            for t in (s.truth for s in samples)
+            if t.estimate_east_m is not None and t.estimate_north_m is not None
+        ]
+        or [np.nan]
+    )
     return Figures(
         off_route_rms_m=float(np.sqrt(np.mean(off_m**2))),
         off_route_most_m=float(off_m.max()),

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
+from math import isnan
 
 import pytest
 
@@ -53,6 +55,17 @@ def test_the_vehicle_is_the_one_that_loses_its_gps_early_enough(change, tmp_path
     else:
         with pytest.raises(UsageError, match=r"mine\.toml: no vehicle loses its GPS in the first 60 s"):
             run_demo(tmp_path, str(file), "fleet", 1)
+
+
+def test_an_autopilot_without_a_position_does_not_believe_itself_at_the_origin():
+    loss = GpsLost(vehicle=4, at_s=3.0)
+    flight = demo._fly_one(load_scenario("uwb").model_copy(update={"fault": [loss], "duration_s": 4.0}), "fleet", 7, True)
+    lost = [s for s in flight.samples[4] if s.at_s >= 3.0]
+    nowhere = replace(lost[0], truth=replace(lost[0].truth, east_m=9000.0, estimate_east_m=None, estimate_north_m=None))
+    flight.samples[4] = [nowhere, *lost]
+    assert figures(flight, loss, aided=True).navigation_most_m < 20.0
+    flight.samples[4] = [nowhere]
+    assert isnan(figures(flight, loss, aided=True).navigation_rms_m)
 
 
 def test_the_service_knows_where_the_stations_stand():
