@@ -153,12 +153,15 @@ class Px4(Autopilot):
         return self.source(at_s) in ("gps1", _AUX)
 
     def injected_refusal(self, at_s: float) -> str | None:
-        """Why positions from outside are not used now, or None where they are."""
+        """Why neither positions nor ranges from outside are used now, or None where they are."""
+        if at_s - self._aux_used_at_s <= _HELD_S:
+            return None
         if self._vision_on():
-            return None if at_s - self._aux_used_at_s <= _HELD_S else "no vision position is fused"
-        if off := self._slot_off():
-            return off
-        return None if at_s - self._aux_used_at_s <= _HELD_S else "no auxiliary global position is fused"
+            return "no vision position is fused"
+        off = self._slot_off()
+        if off and int(self._params["EKF2_RNGBC_CTRL"]):
+            return "no range to a beacon is fused"
+        return off or "no auxiliary global position is fused"
 
     def _vision_on(self) -> bool:
         return bool(int(self._params["EKF2_EV_CTRL"]) & _HORIZONTAL) and self.origin_m is not None

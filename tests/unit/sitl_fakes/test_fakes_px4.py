@@ -150,6 +150,12 @@ def test_a_position_without_accuracy_or_with_the_fusion_off_is_not_used(eph_m, c
     assert why in fleet.truth()[1].aid_refusal
 
 
+def test_that_no_range_comes_is_said_where_ranges_are_what_it_would_navigate_on():
+    fleet = px4(lost(1), EKF2_AGP0_CTRL=0, EKF2_RNGBC_CTRL=1)
+    fleet.advance(15.0)
+    assert fleet.truth()[1].aid_refusal == "no range to a beacon is fused"
+
+
 def test_a_position_beyond_the_gate_is_refused_while_its_own_receiver_is_good_and_taken_over_when_that_is_gone():
     fleet = px4(lost(1, 20.0))
     fleet.advance(5.0)

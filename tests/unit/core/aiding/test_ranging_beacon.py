@@ -251,6 +251,7 @@ def test_a_px4_without_gps_flies_on_the_ranges_that_it_is_handed():
     flight = fly(scenario, 7, Engine(load_estimator("fleet", {}), settings), duration_s=60.0)
     assert np.sqrt(np.mean(np.square(autopilot_errors_m(flight, 30.0)))) < 3.0
     assert flight.samples[4][-1].truth.source == "ranging beacons"
+    assert flight.samples[4][-1].truth.aid_refusal is None
 
 
 def test_even_one_station_helps():
