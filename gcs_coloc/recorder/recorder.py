@@ -11,13 +11,14 @@ import os
 import threading
 import time
 from collections import deque
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from gcs_coloc.core.errors import RecordError
 from gcs_coloc.core.messages.control import HoldBack, OperatorCommand, RouteBlock, RouteReport
 from gcs_coloc.mavlink.refusals import Counts, Refusal
-from gcs_coloc.recorder.journal import Entry
+from gcs_coloc.recorder.journal import Entry, StationEntry
 from gcs_coloc.recorder.log_segment import LogSegment, delete_oldest
 from gcs_coloc.recorder.side_channel import FlownWith, GroundTool, SideChannelRecord, SideChannelWriter
 from gcs_coloc.recorder.tlog import tlog_record
@@ -61,7 +62,7 @@ class Recorder:
         self._fault: str | None = None
         self._reported: tuple[str | None, int] = (None, 0)
         self._segment_count = 0
-        self._state: dict[tuple[object, ...], SideChannelRecord] = {}  # what a new segment has to repeat
+        self._state: dict[tuple[object, ...], SideChannelRecord | Entry] = {}  # what a new segment has to repeat
         self._name = ""
         try:
             directory.mkdir(parents=True, exist_ok=True)
@@ -169,24 +170,24 @@ class Recorder:
     def _write(self, segment: LogSegment, items: list[_Item]) -> bool:
         """Write a batch. False where nothing of it was written, True also where a half of it is lost."""
         size_before, lost = segment.size, 0
-        told: dict[tuple[object, ...], SideChannelRecord] = {}
+        told: dict[tuple[object, ...], SideChannelRecord | Entry] = {}
         try:
-            records = self._head(items[0]) if segment.size == 0 else bytearray()
-            entries: list[Entry] = []
+            records, entries = self._head(items[0]) if segment.size == 0 else (bytearray(), [])
             for item in items:
                 if isinstance(item, tuple):
                     records += tlog_record(*item)
-                elif isinstance(item, SideChannelRecord):
+                    continue
+                if isinstance(item, SideChannelRecord):
                     try:
                         records += tlog_record(item.received_at_s, self._side_channel.pack(item))
                     except ValueError:
                         lost += 1  # too long for a frame
                         continue
-                    key = _lasting_key(item)
-                    if key is not None:
-                        told[key] = item
                 else:
                     entries.append(item)
+                key = _lasting_key(item)
+                if key is not None:
+                    told[key] = item
             segment.write(bytes(records), entries)
         except OSError as error:
             self._fail(error)
@@ -205,15 +206,18 @@ class Recorder:
             self._try_to_open()
         return self._segment
 
-    def _head(self, first: _Item) -> bytearray:
-        """The beginning of a segment: the mark that it is ours, and the records that still hold."""
+    def _head(self, first: _Item) -> tuple[bytearray, list[Entry]]:
+        """The beginning of a segment: the mark that it is ours, and the records and entries that still hold."""
         at_s = (
             first[0] if isinstance(first, tuple) else first.received_at_s if isinstance(first, SideChannelRecord) else first.at_s
         )
-        head = bytearray(tlog_record(at_s, self._side_channel.pack(None)))
-        for record in self._state.values():
-            head += tlog_record(at_s, self._side_channel.pack(record, repeated=True))
-        return head
+        head, entries = bytearray(tlog_record(at_s, self._side_channel.pack(None))), list[Entry]()
+        for told in self._state.values():
+            if isinstance(told, SideChannelRecord):
+                head += tlog_record(at_s, self._side_channel.pack(told, repeated=True))
+            else:
+                entries.append(replace(told, at_s=at_s))
+        return head, entries
 
     def _open_first(self) -> LogSegment:
         """Open the first segment under the name of this second, or of the next that is free.
@@ -272,8 +276,8 @@ class Recorder:
             self._segment = None
 
 
-def _lasting_key(record: SideChannelRecord) -> tuple[object, ...] | None:
-    """Return the key of a record that every new segment repeats; None for any other record.
+def _lasting_key(record: SideChannelRecord | Entry) -> tuple[object, ...] | None:
+    """Return the key of a record or entry that every new segment repeats; None for any other.
 
     Such a record holds until another of its key replaces it. Any other concerns a moment.
     """
@@ -284,6 +288,8 @@ def _lasting_key(record: SideChannelRecord) -> tuple[object, ...] | None:
             return RouteReport, record.sysid
         case GroundTool():
             return GroundTool, record.sysid, record.compid
+        case StationEntry():
+            return StationEntry, record.station.node
         case FlownWith() | HoldBack():
             return (type(record),)
         case _:

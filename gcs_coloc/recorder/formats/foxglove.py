@@ -17,7 +17,9 @@ from gcs_coloc.core.alarms.alarms import Alarm, AlarmKind
 from gcs_coloc.core.error_ellipse import error_ellipse
 from gcs_coloc.core.messages.outbound import HealthChanged, Notice
 from gcs_coloc.core.snapshot import VehicleSnapshot
-from gcs_coloc.recorder.journal import Entry, RangeEntry, VehicleEntry
+from gcs_coloc.core.station_review import StationSnapshot
+from gcs_coloc.core.stations.node_id import node_name
+from gcs_coloc.recorder.journal import Entry, RangeEntry, StationEntry, VehicleEntry
 
 FRAME_ID = "fleet"
 """The frame of scenes: east, north, up of the fleet's origin."""
@@ -31,6 +33,7 @@ _AXES_95 = 2.4477
 _VEHICLE_SHOWN_S = 2
 """Chosen: five entries of a vehicle; then it leaves the scene."""
 _RANGE_SHOWN_S = 1  # chosen: some rounds of ranges
+_SHOWN_FOR_GOOD_S = 0  # source: foxglove.SceneEntity; a station has an entry only when something of it changes
 _COLOURS = {
     "healthy": (0.11, 0.62, 0.33),
     "suspect": (0.85, 0.6, 0.0),
@@ -52,7 +55,7 @@ def well_known_schema(name: str) -> bytes:
 class FoxgloveMessages:
     """Converter of entries to messages of well-known schemas.
 
-    It remembers where each vehicle was last, as the line of a range needs both ends.
+    It remembers where each vehicle and station was last, as the line of a range needs both ends.
     """
 
     def __init__(self) -> None:
@@ -64,6 +67,8 @@ class FoxgloveMessages:
             yield from self._of_vehicle(entry.vehicle, entry.at_s)
         elif isinstance(entry, RangeEntry):
             yield from self._of_range(entry)
+        elif isinstance(entry, StationEntry):
+            yield from self._of_station(entry.station, entry.at_s)
         elif isinstance(entry, HealthChanged):
             # No warning: what needs a person is an alarm.
             yield _log(entry.at_s, "info", entry.sysid, f"GPS {entry.before} -> {entry.after}: {entry.reason}")
@@ -101,24 +106,24 @@ class FoxgloveMessages:
                     "color": colour | {"a": 0.3},
                 }
             ]
-        entity["texts"] = [
-            {
-                "pose": _pose(enu_m),
-                "billboard": True,
-                "font_size": 14.0,
-                "scale_invariant": True,
-                "color": colour,
-                "text": str(v.sysid),
-            }
-        ]
+        entity["texts"] = [_label(enu_m, str(v.sysid), colour)]
+        yield "/scene", "foxglove.SceneUpdate", {"deletions": [], "entities": [entity]}
+
+    def _of_station(self, station: StationSnapshot, at_s: float) -> Iterator[WellKnown]:
+        if station.enu_m is None:
+            return
+        self._enu_m[station.node] = station.enu_m
+        label = node_name(station.node)
+        entity = _entity(at_s, label, _SHOWN_FOR_GOOD_S)
+        entity["texts"] = [_label(station.enu_m, station.name or label, _colour(*_NO_COLOUR))]
         yield "/scene", "foxglove.SceneUpdate", {"deletions": [], "entities": [entity]}
 
     def _of_range(self, entry: RangeEntry) -> Iterator[WellKnown]:
         one = entry.range
-        ends = [self._enu_m.get(sysid) for sysid in (one.from_sysid, one.to_sysid)]
+        ends = [self._enu_m.get(node) for node in (one.from_sysid, one.to_sysid)]
         if None in ends:
             return
-        entity = _entity(entry.at_s, f"range {one.from_sysid} {one.to_sysid}", _RANGE_SHOWN_S)
+        entity = _entity(entry.at_s, f"range {one.from_sysid} {node_name(one.to_sysid)}", _RANGE_SHOWN_S)
         entity["metadata"] = [
             {"key": "innovation_m", "value": f"{one.innovation_m:.2f}"},
             {"key": "refused", "value": one.refused or "no"},
@@ -165,6 +170,11 @@ def _entity(at_s: float, entity_id: str, shown_s: int) -> dict[str, Any]:
     lifetime = {"sec": shown_s, "nsec": 0}
     about = {"timestamp": _time(at_s), "frame_id": FRAME_ID, "id": entity_id, "lifetime": lifetime, "frame_locked": False}
     return about | empty
+
+
+def _label(at: tuple[float, float, float], text: str, colour: dict[str, float]) -> dict[str, Any]:
+    look = {"billboard": True, "font_size": 14.0, "scale_invariant": True, "color": colour}
+    return {"pose": _pose(at), "text": text} | look
 
 
 def _time(at_s: float) -> dict[str, int]:

@@ -11,12 +11,15 @@ import time
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.errors import RecordError
 from gcs_coloc.core.messages.control import GpsOverride, OperatorCommand, RouteReport
 from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
+from gcs_coloc.core.station_review import StationSnapshot
 from gcs_coloc.mavlink.refusals import Refusal
+from gcs_coloc.recorder.journal import StationEntry
 from gcs_coloc.recorder.log_segment import delete_oldest
 from gcs_coloc.recorder.recorder import Recorder
 from gcs_coloc.recorder.side_channel import read_side_channel
@@ -24,6 +27,7 @@ from gcs_coloc.recorder.tlog import TlogReader, tlog_record
 
 AT_S = 1_795_216_162.424732
 OWN = (254, 191)
+MAST = StationSnapshot(3, -4, "mast", "configuration", 47.0, 8.0, 512.0, 0.1, 0.1, (50.0, -20.0, 12.0), 0.1, None, True)
 
 
 def sender(*, key: bytes | None = None):
@@ -122,6 +126,7 @@ def test_parts_turn_over_by_size_join_to_the_whole_and_begin_with_what_was_told(
     recorder.add_record(OperatorCommand(4, AT_S, GpsOverride.FAILED))
     recorder.add_record(RouteReport(3, AT_S, None))
     recorder.add_record(RouteReport(3, AT_S, None))
+    recorder.add_entry(StationEntry(AT_S, MAST))
     for number, frame in enumerate(frames):
         recorder.add_frame(AT_S + number * 0.01, frame)
     recorder.close()
@@ -129,6 +134,9 @@ def test_parts_turn_over_by_size_join_to_the_whole_and_begin_with_what_was_told(
     assert len(parts) > 3
     assert [p.stem for p in sorted(tmp_path.glob("*.mcap"))] == [p.stem for p in parts]
     assert all(p.stat().st_size < 20_000 + 200 * 60 for p in parts)
+    for path in tmp_path.glob("*.mcap"):
+        with path.open("rb") as file:
+            assert [channel.topic for _, channel, _ in make_reader(file).iter_messages()] == ["/station", "/scene"]
     heard = []
     for part in parts:
         records = list(TlogReader(part))

@@ -17,18 +17,24 @@ from mcap.reader import make_reader
 from gcs_coloc.core.alarms.alarms import Alarm, AlarmKind, AlarmState
 from gcs_coloc.core.messages.outbound import HealthChanged, Notice
 from gcs_coloc.core.residual_log import RangeSnapshot
+from gcs_coloc.core.station_review import StationSnapshot
 from gcs_coloc.recorder.formats.mcap_file import McapEncoder
-from gcs_coloc.recorder.journal import RangeEntry, VehicleEntry
+from gcs_coloc.recorder.journal import RangeEntry, StationEntry, VehicleEntry
 
 ROOT = Path(__file__).resolve().parents[4]
 REPORTED = {"reported_alt_msl_m": 505.0, "reported_enu_m": (118.0, 41.0, 5.0)}
 AT_S = 1_780_000_000.25
+MAST = StationSnapshot(3, -4, "mast", "configuration", 47.0, 8.0, 512.0, 0.1, 0.1, (50.0, -20.0, 12.0), 0.1, None, True)
 ENTRIES = [
     VehicleEntry(AT_S, HEALTHY),
     VehicleEntry(AT_S, replace(LOCATED, covariance_h_m2=(9.0, 0.0, 4.0), **REPORTED)),
     RangeEntry(AT_S + 0.1, RangeSnapshot(1, 4, 0.05, 0.4, 0.3, 1.8, None)),
     RangeEntry(AT_S + 0.2, RangeSnapshot(4, 1, 0.05, 14.0, 0.3, 99.0, "an outlier")),
     RangeEntry(AT_S + 0.2, RangeSnapshot(4, 9, 0.05, 1.0, 0.3, 1.0, None)),
+    StationEntry(AT_S + 0.2, MAST),
+    StationEntry(AT_S + 0.2, replace(MAST, station_id=6, node=-7, lat_deg=None, lon_deg=None, alt_msl_m=None, enu_m=None)),
+    RangeEntry(AT_S + 0.3, RangeSnapshot(4, MAST.node, 0.05, 0.4, 0.3, 1.8, None)),
+    RangeEntry(AT_S + 0.3, RangeSnapshot(4, -7, 0.05, 0.4, 0.3, 1.8, None)),
     HealthChanged(AT_S + 0.3, 4, "healthy", "failed", "no 3D fix"),
     Notice(AT_S + 0.4, None, "error", "nothing is being recorded"),
     Alarm(1, AlarmKind.GPS_LOST, 4, AlarmState.ACTIVE, "warning", "GPS failed", "Land it.", AT_S, AT_S + 0.5),
@@ -102,12 +108,22 @@ def test_a_turned_ellipse_is_turned_from_east_to_north():
 
 def test_a_range_is_a_line_between_the_two_that_are_known(read):
     entities = {one["id"]: one for _, _, update in read["/scene"] for one in update["entities"]}
-    assert entities.keys() == {"vehicle 1", "vehicle 4", "range 1 4", "range 4 1"}  # nobody knows where 9 is
+    ranges = {name for name in entities if name.startswith("range")}
+    assert ranges == {"range 1 4", "range 4 1", "range 4 station 3"}  # nobody knows where 9 and station 6 are
     used, refused = entities["range 1 4"], entities["range 4 1"]
     ends = [(point["x"], point["y"], point["z"]) for point in used["lines"][0]["points"]]
     assert ends == [(0.0, 0.0, 0.0), (120.0, 40.0, 5.0)]
     assert used["lines"][0]["color"] != refused["lines"][0]["color"]
     assert {"key": "refused", "value": "an outlier"} in refused["metadata"]
+
+
+def test_a_station_stands_in_the_scene_for_good_and_its_ranges_end_there(read):
+    entities = {one["id"]: one for _, _, update in read["/scene"] for one in update["entities"]}
+    assert {name for name in entities if name.startswith("station")} == {"station 3"}
+    [label] = entities["station 3"]["texts"]
+    assert (label["text"], label["pose"]["position"]) == ("mast", {"x": 50.0, "y": -20.0, "z": 12.0})
+    assert entities["station 3"]["lifetime"] == {"sec": 0, "nsec": 0}
+    assert entities["range 4 station 3"]["lines"][0]["points"][1] == {"x": 50.0, "y": -20.0, "z": 12.0}
 
 
 def test_the_log_holds_notices_changes_of_state_and_alarms_once_each(read):
