@@ -226,7 +226,7 @@ def planning(
 def readiness(
     classes: Annotated[list[str] | None, typer.Option("--class", help="A class of flights; several times for several.")] = None,
     recording: Annotated[
-        list[str] | None, typer.Option(help="A recording (tlog), truth.csv beside it; several times for several.")
+        list[str] | None, typer.Option(help="A recording (tlog), its tables beside it; several times for several.")
     ] = None,
     seeds: Annotated[int, typer.Option(help="Flights of each class, and losses in each recording.", min=1)] = 5,
     first_seed: Annotated[int, typer.Option(help="Seed of the first flight of each class.")] = 1,

@@ -6,7 +6,6 @@ fails at a random time. In recordings the operator's override takes it at random
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import hypot, nan
@@ -23,8 +22,9 @@ from gcs_coloc.core.measurements import Estimate, FloatArray
 from gcs_coloc.core.messages.control import GpsOverride, OperatorCommand
 from gcs_coloc.core.readiness.vehicle_readiness import HORIZON_S, ReadinessState, VehicleReadiness
 from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.recorder.judging.recordings_below import find_recording
 from gcs_coloc.recorder.replay import Replay
-from gcs_coloc.recorder.side_tables import read_truth
+from gcs_coloc.recorder.side_tables import read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
 from gcs_coloc.runtime.tasks import KeptResults, Progress, Workers, run_tasks
 from gcs_coloc.study.integrity.flight_classes import CLASSES
@@ -53,8 +53,6 @@ TAKEN_FROM_S = 12.0
 """In a recording GPS is taken from here on. Chosen: after the first predictions."""
 _TAKEN_WITHIN_S = 10.0
 """And within so long. Chosen: the time between two predictions."""
-_TRUTH = "truth.csv"
-"""The true positions beside a recording."""
 _TRUTH_WITHIN_S = 0.06
 """Chosen: half a period of 10 Hz; at 20 m/s an error of a metre at most."""
 
@@ -97,7 +95,7 @@ class Loss:
 
 Task = tuple[str, int, float, str]
 """A class and its seed, or a recording's path and the draw of when GPS is taken; from how many seconds after its beginning on;
-a digest of the recording and its truth, where the result is kept."""
+a digest of the recording and its tables, where the result is kept."""
 
 
 def run_checks(
@@ -124,18 +122,13 @@ def run_checks(
     for path in recordings:
         if not Path(path).is_file():
             raise UsageError(f"{path}: there is no such recording")
-    digests = {path: _digest(Path(path)) for path in recordings} if kept is not None else {}
+    digests = {path: find_recording(Path(path), path).digest for path in recordings} if kept is not None else {}
     tasks = [
         (name, seed, from_s, digests.get(name, ""))
         for seed in range(first_seed, first_seed + seeds)
         for name in (*classes, *recordings)
     ]
     return [loss for found in run_tasks(_check, tasks, workers, progress, kept) for loss in found]
-
-
-def _digest(path: Path) -> str:
-    beside = path.with_name(_TRUTH)
-    return hashlib.sha256(path.read_bytes() + (beside.read_bytes() if beside.is_file() else b"")).hexdigest()
 
 
 def _check(task: Task) -> list[Loss]:
@@ -173,9 +166,10 @@ def _replay(path: Path, draw: int, from_s: float) -> Loss | None:
     The vehicle is the one with the most peers to range. None where no vehicle's GPS was healthy then.
     """
     engine = Engine(load_estimator("fleet", {}), EngineSettings(request_streams=False))
-    beside = path.with_name(_TRUTH)
-    truth = read_truth(beside) if beside.is_file() else []
-    through = Replay(engine, TlogReader(path), (), lambda *_: None)
+    found = find_recording(path, path.name)
+    truth = read_truth(found.truth) if found.truth is not None else []
+    ranges = read_ranges(found.ranges) if found.ranges is not None else []
+    through = Replay(engine, TlogReader(path), ranges, lambda *_: None)
     begin_s = through.next_s
     if begin_s is None:
         return None

@@ -1,9 +1,8 @@
-"""The recordings below directories, with their tables and a digest of their content."""
+"""Recordings, one or all below directories, with their tables and a digest of their content."""
 
 from __future__ import annotations
 
 import hashlib
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +14,8 @@ from gcs_coloc.core.errors import DataError, UsageError
 class FoundRecording:
     """One recording, with the tables beside it.
 
-    `name` is the name of the directory that was searched and the path below it, so that it is the same wherever that directory
-    lies. `file`, `ranges` and `truth` are absolute. `digest` is of the bytes of all three.
+    Of one that was searched for, `name` is the name of the directory and the path below it, so that it is the same wherever that
+    directory lies, and `file`, `ranges` and `truth` are absolute. `digest` is of the bytes of all three.
     """
 
     name: str
@@ -28,9 +27,6 @@ class FoundRecording:
 
 def find_recordings(directories: Sequence[Path]) -> list[FoundRecording]:
     """Return every recording (`*.tlog`) below the directories, by name.
-
-    The tables of `NAME.tlog` are `NAME.ranges.csv` and `NAME.truth.csv` beside it, or `ranges.csv` and `truth.csv` where it is
-    the only recording of its directory.
 
     Raises:
         DataError: there is none below one of the directories, or a file cannot be read.
@@ -44,16 +40,24 @@ def find_recordings(directories: Sequence[Path]) -> list[FoundRecording]:
         files = sorted(root.rglob("*.tlog"))
         if not files:
             raise DataError(f"{directory}: there is no recording (*.tlog) below it")
-        beside = Counter(file.parent for file in files)
         for file in files:
             name = (Path(root.name) / file.relative_to(root)).as_posix()
             if name in found and found[name].file != file:
                 raise UsageError(f"{file} and {found[name].file} would both be {name}; judge their directories one by one")
-            found[name] = _found(name, file, is_alone=beside[file.parent] == 1)
+            found[name] = find_recording(file, name)
     return [found[name] for name in sorted(found)]
 
 
-def _found(name: str, file: Path, *, is_alone: bool) -> FoundRecording:
+def find_recording(file: Path, name: str) -> FoundRecording:
+    """Return a recording with its tables.
+
+    Those of `NAME.tlog` are `NAME.ranges.csv` and `NAME.truth.csv` beside it, or `ranges.csv` and `truth.csv` where it is the
+    only recording of its directory.
+
+    Raises:
+        DataError: a file cannot be read.
+    """
+    is_alone = all(other == file for other in file.parent.glob("*.tlog"))
     ranges, truth = (_table(file, what, is_alone=is_alone) for what in ("ranges", "truth"))
     digest = hashlib.sha256()
     for path in (file, ranges, truth):

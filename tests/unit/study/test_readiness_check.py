@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from math import nan
+from types import SimpleNamespace
 
 import pytest
 from recordings import recording
@@ -50,6 +51,22 @@ def test_in_a_recording_the_operators_override_takes_gps() -> None:
     [loss] = run_checks([], [str(flight)], 1, Workers(), lambda *_: None)
     assert loss.kind == "loss"
     assert loss.error_m < loss.hpl_m
+
+
+def test_a_recording_has_the_tables_that_judge_gives_it(tmp_path, monkeypatch) -> None:
+    replayed: list[list[float]] = []
+
+    def of_nothing(engine, log, ranges, on_poll):
+        replayed.append([one.range_m for one in ranges])
+        return SimpleNamespace(next_s=None)
+
+    monkeypatch.setattr(readiness_check, "Replay", of_nothing)
+    for name in ("mine.tlog", "another.tlog"):
+        (tmp_path / name).write_bytes(b"frames")
+    (tmp_path / "mine.ranges.csv").write_text("unix_s,from_sysid,to_sysid,range_m\n1780000000.0,4,1,812.5\n")
+    (tmp_path / "truth.csv").write_text("of neither: the directory holds two recordings\n")
+    assert run_checks([], [str(tmp_path / "mine.tlog")], 1, Workers(), lambda *_: None) == []
+    assert replayed == [[812.5]]
 
 
 @pytest.mark.parametrize(
