@@ -156,7 +156,7 @@ class FlightClass:
     """Datagrams of so long before the service's start wait for it and are received at once."""
     spoofing: Spoofing | None = None
     device_step_m: Span = (0.0, 0.0)
-    """From some time on all ranges of one device are longer by this; `device_ramp_mps`: ever longer."""
+    """From some time on all ranges of one device are longer or shorter by this; `device_ramp_mps`: ever more."""
     device_ramp_mps: Span = (0.0, 0.0)
     pitot_fails: bool = False
     """Whether the denied vehicle's pitot tube reads wrong from some time on."""

@@ -23,7 +23,7 @@ _TURN_BACK_BANK = radians(30.0)
 _STRAIGHT_SHARE = 0.4  # chosen: missions are legs and turns
 _LEAST_HELD_S, _MEAN_HELD_S = 2.0, 12.0  # chosen: some leg is long, few are short
 _GUST_TIME_S = 4.0
-"""Gusts are a Gauss-Markov process of this time. Source: Dryden's model at 100 m and 20 m/s gives 5 to 10 s."""
+"""Gusts are a Gauss-Markov process of this time. Chosen: shorter than the 5 to 10 s of Dryden's model at 100 m and 20 m/s."""
 
 
 class Trajectory:
