@@ -78,7 +78,8 @@ class TrialScore:
     """What one flight came to; times in s, summed over vehicles.
 
     `under_aid_s`: vehicles without a fix of their own; `fix_s` of it with a fix, whose error was within the 95 % bound for
-    `covered_s`, and whose squares sum to `squares_m2s`; `hpl_s`, `hpl_m_s`: fixes with a protection level, and the levels.
+    `covered_s`, and whose squares sum to `squares_m2s`. `hpl_s`, `hpl_m_s`: fixes of any vehicle with a protection level, and the
+    levels; `events` are of any vehicle, too.
     `alerts_s`: for each faulty receiver the time until its vehicle was no longer trusted, None where it never was.
     """
 
