@@ -68,6 +68,7 @@ class GpsHealthSettings:
 
 
 _LONGEST_STEADY_S = 30.0  # chosen: a fix that comes for seconds under jamming has gone again by then
+_MOST_DOUBLINGS = 1023  # of a float: one more raises OverflowError
 _RELAPSE_WITHIN_S = 60.0  # chosen: a loss later than this after the recovery is another one
 _HAS_FIX = 3  # GPS_FIX_TYPE_3D_FIX
 _EKF_LINGERS_S = 12.0  # EKF3 holds the worst speed accuracy with a decay of 10 s, and wants 10 s of good innovations
@@ -192,7 +193,7 @@ class GpsHealth:
             fix += ", jamming mitigated"
         untested = evidence.is_return_untested
         if self._state in (GpsState.FAILED, GpsState.RECOVERING):
-            steady_s = min(self._settings.steady_after_s * 2.0**self._relapses, _LONGEST_STEADY_S)
+            steady_s = min(self._settings.steady_after_s * 2.0 ** min(self._relapses, _MOST_DOUBLINGS), _LONGEST_STEADY_S)
             if good_for_s < steady_s:
                 self._reason = StatedReason(GpsReason.RETURNING, limit=steady_s, detail=fix)
                 return False

@@ -312,6 +312,21 @@ def test_after_each_relapse_a_fix_must_be_steady_for_twice_as_long():
     assert health.state is GpsState.FAILED
 
 
+def test_a_receiver_that_flickers_for_half_a_day_must_be_steady_for_no_longer_than_30_s():
+    health = healthy_until(5.0)
+    at_s = 10.0
+    for _ in range(1100):
+        health.add(receiver(at_s, fix_type=1))
+        health.update(at_s)
+        health.update(at_s + 1.0)
+        for good_for_s in (2.0, 32.0):
+            health.add(receiver(at_s + good_for_s))
+            health.update(at_s + good_for_s)
+        assert health.state is GpsState.RECOVERING
+        at_s += 35.0
+    assert at_s < 12 * 3600.0
+
+
 def test_a_receiver_that_comes_back_reports_no_false_fix():
     """It is watched; GPS_PRIMARY is not to be taken from it."""
     health = healthy_until(5.0)
