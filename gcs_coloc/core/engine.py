@@ -59,7 +59,8 @@ REVIEWED_EVERY_S = 0.2
 class EngineSettings:
     """Settings of one fleet.
 
-    `max_vehicles` bounds every table; `request_streams` asks vehicles for missing messages.
+    `max_vehicles` bounds every table of vehicles, but for what operators decided of them; `request_streams` asks vehicles for
+    missing messages.
 
     `stations` are the fixed stations whose position is known. `names` is what people call the vehicles, by system id.
     """
@@ -283,11 +284,12 @@ class Engine:
         return vehicle
 
     def _make_room(self, now_s: float) -> None:
-        """Remove a vehicle that was never proven, and to which nothing is sent, where there is one."""
+        """Forget a vehicle that was never proven, and to which nothing is sent, where there is one."""
         for sysid in self.proven.replaceable(tuple(self.telemetry), now_s):
             if not self.aiding.has_stream(sysid):
-                self.telemetry.remove(sysid)
-                self.proven.forget(sysid)
+                self._dispatch.forget(sysid)
+                self._review.forget(sysid, now_s)
+                self._streams.forget(sysid)
                 return
 
     def _request_time(self, vehicle: ReportedState, now_s: float) -> None:

@@ -55,6 +55,17 @@ class FleetReview:
         self._air_data_refused: frozenset[int] = frozenset()
         self._knows_delays = True
 
+    def forget(self, sysid: int, now_s: float) -> None:
+        """Forget a vehicle that makes room for another one, but for what the operator decided of it."""
+        self.readiness.forget(sysid)
+        self._jumps.forget(sysid)
+        self._decisions.pop(sysid, None)
+        self._located_enu_m.pop(sysid, None)
+        self._air_data_refused -= {sysid}
+        if sysid in self._denied:
+            self._denied -= {sysid}
+            self._stages.estimator.set_denied(self._denied, now_s)
+
     def set_gps_override(self, sysid: int, override: GpsOverride) -> None:
         """Set what the operator decides of one vehicle's GPS."""
         self._gps_overrides[sysid] = override

@@ -204,6 +204,14 @@ class RangeJumps:
         self._peers: dict[int, dict[int, float]] = {}
         self._jumps: dict[int, _Jump] = {}
 
+    def forget(self, vehicle: int) -> None:
+        """Forget a vehicle, as one that measures and as a peer."""
+        self._refused.pop(vehicle, None)
+        self._jumps.pop(vehicle, None)
+        self._peers.pop(vehicle, None)
+        for peers in self._peers.values():
+            peers.pop(vehicle, None)
+
     def add(self, residuals: Iterable[Residual], now_s: float) -> None:
         """Add what the estimator made of ranges, in the order in which it used them."""
         for r in residuals:

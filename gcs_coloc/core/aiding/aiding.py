@@ -175,6 +175,15 @@ class Aiding:
         """Add somebody else's GPS_INPUT."""
         self._foreign.add(message)
 
+    def forget(self, sysid: int) -> None:
+        """Forget a vehicle that makes room for another one, but for what the operator decided of it."""
+        self.forget_parameters(sysid)
+        self._switch.forget(sysid)
+        self._foreign.forget(sysid)
+        self._standby.forget(sysid)
+        self._alarms.forget(sysid)
+        self._sent_fixes.pop(sysid, None)
+
     def forget_parameters(self, sysid: int) -> None:
         """Forget the parameters of a vehicle that was rebooted: they may have changed."""
         self._parameters.forget(sysid)

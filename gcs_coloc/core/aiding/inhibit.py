@@ -86,6 +86,10 @@ class ForeignGpsInputMonitor:
         self._stand_down_s = settings.stand_down_s
         self._others: dict[int, _Other] = {}
 
+    def forget(self, sysid: int) -> None:
+        """Forget who else feeds a vehicle."""
+        self._others.pop(sysid, None)
+
     def add(self, message: ForeignGpsInput) -> None:
         """Add one message."""
         if message.vehicle is None or message.gps_id != self._gps_id:
@@ -138,6 +142,10 @@ class Standby:
         self._parameters = parameters
         self._obstacles: dict[int, Inhibit] = {}
 
+    def forget(self, sysid: int) -> None:
+        """Forget why a vehicle got no stream."""
+        self._obstacles.pop(sysid, None)
+
     def review(self, sysid: int, now_s: float) -> tuple[Inhibit | None, list[Notice]]:
         """Return why a vehicle gets no stream on standby, and the notice of that.
 
@@ -174,6 +182,10 @@ class InhibitAlarms:
 
     def __init__(self) -> None:
         self._reported: dict[int, Inhibit | None] = {}
+
+    def forget(self, sysid: int) -> None:
+        """Forget what was told of a vehicle."""
+        self._reported.pop(sysid, None)
 
     def restart(self) -> None:
         """Tell again what holds."""

@@ -220,13 +220,17 @@ class ReceiverSwitch:
         """
         sysid = receiver.sysid
         if not held:
-            self._switches.pop(sysid, None)
+            self.forget(sysid)
             return
         own: OwnReceiver = EstimatorSensor(sysid)
         if receiver.before is not None and receiver.kind is not None:
             before = ParameterValue(sysid, now_s, GPS_PRIMARY, receiver.before, receiver.kind)
             own = PrimaryParameter(sysid, self._gps_id, before)
         self._switches[sysid] = _Switch(own, SwitchStep.OURS, now_s)
+
+    def forget(self, sysid: int) -> None:
+        """Forget the switch of a vehicle, without restoring anything."""
+        self._switches.pop(sysid, None)
 
     def status(self, sysid: int) -> str | None:
         """Return the state of the switch in words; None where nothing was done."""

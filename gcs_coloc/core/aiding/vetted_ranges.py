@@ -40,6 +40,10 @@ class VettedRanges:
         self._waiting: OrderedDict[tuple[int, int, float], RangeMeasurement] = OrderedDict()
         self._ready: dict[int, list[VettedRange]] = {}
 
+    def forget(self, vehicle: int) -> None:
+        """Forget the vetted ranges of a vehicle."""
+        self._ready.pop(vehicle, None)
+
     def add_range(self, m: RangeMeasurement) -> None:
         """Add a range that the estimator was given."""
         if not (self._wants(m.from_vehicle) or self._wants(m.to_vehicle)):

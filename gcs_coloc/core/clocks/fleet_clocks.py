@@ -74,6 +74,11 @@ class FleetClocks:
         """Return the boot clock of a vehicle's autopilot."""
         return self._of(sysid).boot
 
+    def forget(self, sysid: int) -> None:
+        """Forget the clocks of a vehicle that makes room for another one."""
+        self._clocks.pop(sysid, None)
+        self._duplicate_ids.discard(sysid)
+
     def set_host_clock(self, message: ClockReference) -> list[Notice]:
         """Set what the host says of its clock; return notices for the operator."""
         self.host_lag_s = message.lag_s

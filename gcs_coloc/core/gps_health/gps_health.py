@@ -297,6 +297,10 @@ class FleetGpsHealth(dict[int, GpsHealth]):
         health = self[sysid] = GpsHealth(self._settings)
         return health
 
+    def forget(self, sysid: int) -> None:
+        """Forget a vehicle that makes room for another one."""
+        self.pop(sysid, None)
+
     def reason(self, sysid: int) -> str:
         """Return what speaks for the state of a vehicle, in words."""
         return self[sysid].reason.text

@@ -44,6 +44,12 @@ class IntegrityMonitor:
         self._reacquisition = ReacquisitionMonitor(self._consistency.settings)
         self._right_since_s: dict[int, float] = {}
 
+    def forget(self, sysid: int) -> None:
+        """Forget a vehicle that makes room for another one."""
+        self._right_since_s.pop(sysid, None)
+        self._consistency.forget(sysid)
+        self._reacquisition.forget(sysid)
+
     def add_position(self, position: PositionMeasurement) -> None:
         """Add the position that a witness reports.
 

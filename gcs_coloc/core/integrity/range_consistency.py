@@ -146,6 +146,13 @@ class RangeConsistency:
         """Drop the positions and residuals of a vehicle that is not in the tests any more."""
         self._residuals.drop(vehicle)
 
+    def forget(self, vehicle: int) -> None:
+        """Forget a vehicle that makes room for another one; a detection lapses by itself."""
+        self.drop(vehicle)
+        self.readmit(vehicle)
+        self._decayed_m2.pop(vehicle, None)
+        self._alert_until_s.pop(vehicle, None)
+
     def add_range(self, measurement: RangeMeasurement) -> None:
         """Add a range; its residual is computed once the positions of its time have arrived."""
         self._residuals.add_range(measurement)

@@ -158,6 +158,11 @@ class ReacquisitionMonitor:
         self._receivers: dict[int, _Reacquisition] = {}
         self._clear()
 
+    def forget(self, sysid: int) -> None:
+        """Forget the receiver of a vehicle that makes room for another one."""
+        self._receivers.pop(sysid, None)
+        self._residuals.drop(sysid)
+
     def add_range(self, measurement: RangeMeasurement) -> None:
         """Add a range between two vehicles, or a vehicle and a station."""
         if self._receivers:

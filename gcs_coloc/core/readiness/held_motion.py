@@ -68,6 +68,10 @@ class TurnRates:
     def __init__(self) -> None:
         self._courses: dict[int, deque[tuple[float, float]]] = {}
 
+    def forget(self, vehicle: int) -> None:
+        """Forget the velocities of a vehicle."""
+        self._courses.pop(vehicle, None)
+
     def add(self, vehicle: int, at_s: float, east_mps: float, north_mps: float) -> None:
         """Add a velocity over ground; without a course the vehicle turns no more."""
         courses = self._courses.setdefault(vehicle, deque())

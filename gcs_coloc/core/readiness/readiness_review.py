@@ -54,6 +54,10 @@ class RecentRanges:
     def __init__(self) -> None:
         self._of: dict[int, deque[RangeMeasurement]] = {}
 
+    def forget(self, vehicle: int) -> None:
+        """Forget the ranges of a vehicle."""
+        self._of.pop(vehicle, None)
+
     def add(self, measurement: RangeMeasurement) -> None:
         """Add a range."""
         for end in (measurement.from_vehicle, measurement.to_vehicle):
@@ -130,6 +134,12 @@ class ReadinessReview:
         self._predicted_at_s = -inf
         self._turns = TurnRates()
         self._turns_at_s = -inf
+
+    def forget(self, sysid: int) -> None:
+        """Forget a vehicle that makes room for another one."""
+        self._followed.pop(sysid, None)
+        self._sorties.pop(sysid, None)
+        self._turns.forget(sysid)
 
     def of(self, sysid: int) -> VehicleReadiness | None:
         """Return the readiness of a vehicle; None while its GPS is not healthy, and until it was predicted."""

@@ -72,6 +72,11 @@ class AltitudeBuilder:
         self._memories: dict[int, _Memory] = {}
         self._pressures = PressureHeights()
 
+    def forget(self, sysid: int) -> None:
+        """Forget a vehicle and its barometer."""
+        self._memories.pop(sysid, None)
+        self._pressures.forget(sysid)
+
     def add_trusted_position(self, message: GlobalPosition, reported: PositionMeasurement) -> None:
         """Add the position of a trusted vehicle.
 

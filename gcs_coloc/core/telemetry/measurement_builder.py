@@ -54,6 +54,15 @@ class MeasurementBuilder:
         self._attitude_at_s: dict[int, float] = {}
         self._receiver_fixes: dict[int, PositionMeasurement] = {}
 
+    def forget(self, sysid: int) -> None:
+        """Forget a vehicle that makes room for another one."""
+        self._positions.forget(sysid)
+        self._altitudes.forget(sysid)
+        self._ranges.forget(sysid)
+        self._reported.pop(sysid, None)
+        self._attitude_at_s.pop(sysid, None)
+        self._receiver_fixes.pop(sysid, None)
+
     def set_origin(self, station: Station) -> None:
         """Set the fleet's origin at a station, where no vehicle has set it yet."""
         if self.frame is None and station.position is not None:

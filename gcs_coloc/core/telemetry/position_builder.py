@@ -104,6 +104,10 @@ class PositionBuilder:
         self._settings = settings
         self._jumps: dict[int, PositionJumps] = {}
 
+    def forget(self, sysid: int) -> None:
+        """Forget the jumps of a vehicle."""
+        self._jumps.pop(sysid, None)
+
     def build(
         self, message: GlobalPosition, receiver: GpsReceiver | None, measured: ServiceTime, frame: LocalFrame, *, is_trusted: bool
     ) -> PositionMeasurement:

@@ -60,6 +60,12 @@ class PressureHeights:
     def __init__(self) -> None:
         self._barometers: dict[int, _Barometer] = {}
 
+    def forget(self, sysid: int) -> None:
+        """Forget a barometer: another one under its id shows no change of the weather against it."""
+        self._barometers.pop(sysid, None)
+        for barometer in self._barometers.values():
+            barometer.others_m.pop(sysid, None)
+
     def add(self, sysid: int, pressure_hpa: float, at_s: float) -> None:
         """Add the pressure that a vehicle measured."""
         barometer = self._barometers.setdefault(sysid, _Barometer())

@@ -44,6 +44,12 @@ class RangeBuilder:
         self._nlos: dict[int, NlosDetector] = {}
         self._sigmas_m: dict[int, float] = {}
 
+    def forget(self, sysid: int) -> None:
+        """Forget the ranging devices of a vehicle; what those of others ranged of it is bounded by itself."""
+        self._repeats.pop(sysid, None)
+        self._nlos.pop(sysid, None)
+        self._sigmas_m.pop(sysid, None)
+
     def build(
         self, message: PeerRange, vehicle: ReportedState, peer: ReportedState | Station, measured: ServiceTime
     ) -> BuiltRange:

@@ -118,8 +118,8 @@ class Telemetry:
         state = self._states[sysid] = ReportedState(sysid, at_s, at_s)
         return state
 
-    def remove(self, sysid: int) -> None:
-        """Remove a vehicle that makes room for another one."""
+    def forget(self, sysid: int) -> None:
+        """Forget a vehicle that makes room for another one."""
         del self._states[sysid]
 
     @property
