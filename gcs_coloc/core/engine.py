@@ -284,9 +284,12 @@ class Engine:
         return vehicle
 
     def _make_room(self, now_s: float) -> None:
-        """Forget a vehicle that was never proven, and to which nothing is sent, where there is one."""
+        """Forget a vehicle that may make room, where there is one.
+
+        It was never proven, nothing is sent to it, and nothing of it is to be restored.
+        """
         for sysid in self.proven.replaceable(tuple(self.telemetry), now_s):
-            if not self.aiding.has_stream(sysid):
+            if sysid not in self.aiding.to_change():
                 self._dispatch.forget(sysid)
                 self._review.forget(sysid, now_s)
                 self._streams.forget(sysid)

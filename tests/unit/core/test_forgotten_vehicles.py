@@ -9,7 +9,7 @@ from engine_flights import ALT, LAT, LON, StraightLine, fly, settings, telemetry
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.measurements import RangeMeasurement, Residual
-from gcs_coloc.core.messages.control import ForeignGpsInput, RouteBlock, RouteReport
+from gcs_coloc.core.messages.control import ForeignGpsInput, RouteBlock, RouteReport, SwitchedByOther, SwitchedReceiver
 from gcs_coloc.core.messages.inbound import (
     Autopilot,
     GlobalOrigin,
@@ -20,6 +20,7 @@ from gcs_coloc.core.messages.inbound import (
     TimeBase,
     TimeSyncAnswer,
 )
+from gcs_coloc.core.messages.outbound import ParameterSet
 from gcs_coloc.core.telemetry.nlos_detector import NlosDetector
 from gcs_coloc.core.telemetry.repeated_ranges import RangeRepeats
 
@@ -111,3 +112,15 @@ def test_a_vehicle_that_made_room_and_returns_begins_anew():
     assert estimator.denied[-1][0] <= {102, 103}
     fly_beside_known(engine, (100,), 18.0, 18.1, autopilot=Autopilot.ARDUPILOT)
     assert engine.gps_state(100) is GpsState.HEALTHY
+
+
+def test_a_vehicle_whose_own_receiver_is_to_be_restored_makes_no_room():
+    engine = Engine(StraightLine(), settings(max_vehicles=6))
+    fly(engine, 0.0, 12.0)
+    fly_beside_known(engine, (100, 101), 12.0, 13.0, autopilot=Autopilot.ARDUPILOT)
+    engine.receive(SwitchedByOther(13.0, SwitchedReceiver(100, 1.0, 2), held=True))
+    for first in (102, 104):
+        fly_beside_known(engine, (first, first + 1), first - 88.0, first - 87.0, autopilot=Autopilot.ARDUPILOT)
+    assert 100 in engine.sysids()
+    assert 101 not in engine.sysids()
+    assert [o for o in engine.close() if isinstance(o, ParameterSet)] == [ParameterSet(100, "GPS_PRIMARY", 1.0, 2)]
