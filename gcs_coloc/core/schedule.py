@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from math import floor
 from typing import TYPE_CHECKING
 
-from gcs_coloc.core.messages.outbound import AidingMessage, Outbound
+from gcs_coloc.core.messages.outbound import AidingMessage, Outbound, RangingBeacon
 
 if TYPE_CHECKING:
     from gcs_coloc.core.engine import Engine
@@ -82,11 +82,12 @@ def advance(engine: Engine, to_s: float, held_up_until_s: float = float("-inf"))
 def without_superseded(outputs: list[Outbound]) -> list[Outbound]:
     """Return the outputs without the aiding messages that a later output replaces.
 
-    A later one of the same kind to the same vehicle replaces a message, so that no old position is sent late.
+    A later one of the same kind to the same vehicle replaces a message, so that no old position is sent late. A range is replaced
+    by one to the same peer alone.
     """
-    last = {(type(output), output.sysid): i for i, output in enumerate(outputs) if isinstance(output, AidingMessage)}
-    return [
-        output
-        for i, output in enumerate(outputs)
-        if not isinstance(output, AidingMessage) or last[type(output), output.sysid] == i
-    ]
+    last = {_topic(output): i for i, output in enumerate(outputs) if isinstance(output, AidingMessage)}
+    return [output for i, output in enumerate(outputs) if not isinstance(output, AidingMessage) or last[_topic(output)] == i]
+
+
+def _topic(message: AidingMessage) -> tuple[type[AidingMessage], int, int | None]:
+    return type(message), message.sysid, message.beacon_id if isinstance(message, RangingBeacon) else None

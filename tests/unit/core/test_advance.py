@@ -7,7 +7,7 @@ import random
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.control import GpsOverride, OperatorCommand, RouteReport
 from gcs_coloc.core.messages.inbound import Autopilot, Heartbeat
-from gcs_coloc.core.messages.outbound import GpsInput, Notice
+from gcs_coloc.core.messages.outbound import GpsInput, Notice, RangingBeacon
 from gcs_coloc.core.schedule import CATCH_UP_S, Overrun, advance, find_overrun, without_superseded
 from gcs_coloc.estimators.registry import load_estimator
 
@@ -88,3 +88,8 @@ def test_only_the_newest_position_of_each_vehicle_is_sent():
     positions = [o for o in outputs if isinstance(o, GpsInput)]
     assert [o for o in kept if isinstance(o, GpsInput)] == positions[-1:]
     assert [o for o in kept if isinstance(o, Notice)] == [o for o in outputs if isinstance(o, Notice)]
+
+
+def test_the_newest_range_to_each_peer_is_sent():
+    ranges = [RangingBeacon(4, k, beacon, k, 500.0, 1.0, 47.0, 8.0, 500.0, 1.0, 1.0) for k, beacon in enumerate((1, 2, 3, 1))]
+    assert without_superseded(list(ranges)) == ranges[1:]
