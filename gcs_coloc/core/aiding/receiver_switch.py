@@ -70,7 +70,10 @@ class OwnReceiver(Protocol):
         """
 
     def wording(self, step: SwitchStep, answer: ReceiverAnswer | None) -> str:
-        """Return what is told of an answer in a step, or of none (None) after all tries."""
+        """Return what is told of an answer in a step.
+
+        Of one that changes nothing, or of none (None), that is after all tries.
+        """
 
     def before(self) -> SwitchedReceiver:
         """Return what restores it."""
@@ -118,16 +121,19 @@ class PrimaryParameter:
     def wording(self, step: SwitchStep, answer: ReceiverAnswer | None) -> str:
         """Return what is told, with the parameter's values."""
         before, ours = self._before.value if self._before is not None else 0.0, self._ours
+        not_restored = f"{GPS_PRIMARY} could not be restored to {before:g}, which can be done by hand"
         return {
-            (SwitchStep.READING, None): f"{GPS_PRIMARY} could not be read",
+            (SwitchStep.READING, None): f"{GPS_PRIMARY} could not be read: no answer",
             (SwitchStep.READING, ReceiverAnswer.OUT_OF_USE): f"{GPS_PRIMARY} is {self._told:g} already: left as it is",
-            (SwitchStep.SETTING, None): f"{GPS_PRIMARY} could not be set to {self._ours:g}",
+            (SwitchStep.SETTING, None): f"{GPS_PRIMARY} could not be set to {ours:g}: no answer",
+            (SwitchStep.SETTING, ReceiverAnswer.IN_USE): f"{GPS_PRIMARY} could not be set to {ours:g}: it stays {self._told:g}",
             (
                 SwitchStep.SETTING,
                 ReceiverAnswer.OUT_OF_USE,
             ): f"{GPS_PRIMARY} set to {ours:g}, our receiver; it was {before:g}",
             (SwitchStep.OURS, ReceiverAnswer.IN_USE): f"{GPS_PRIMARY} was set to {self._told:g} by somebody else: left as it is",
-            (SwitchStep.RESTORING, None): f"{GPS_PRIMARY} could not be restored to {before:g}, which can be done by hand",
+            (SwitchStep.RESTORING, None): f"{not_restored}: no answer",
+            (SwitchStep.RESTORING, ReceiverAnswer.OUT_OF_USE): f"{not_restored}: it stays {self._told:g}",
             (SwitchStep.RESTORING, ReceiverAnswer.IN_USE): f"{GPS_PRIMARY} restored to {self._told:g}",
         }[step, answer]
 
@@ -166,25 +172,33 @@ class EstimatorSensor:
         switched_off = "its own GPS is switched off: it flies on the position that it is sent"
         refused = f"it does not let its own GPS be switched off ({self._outcome.value}): it may follow a faulty receiver"
         return {
-            (SwitchStep.SETTING, None): "its GPS could not be switched off",
+            (SwitchStep.SETTING, None): "its GPS could not be switched off: no answer",
             (SwitchStep.SETTING, ReceiverAnswer.OUT_OF_USE): switched_off,
             (SwitchStep.SETTING, ReceiverAnswer.REFUSED): refused,
-            (SwitchStep.RESTORING, None): "its GPS could not be switched on",
+            (SwitchStep.RESTORING, None): "its GPS could not be switched on: no answer",
+            (SwitchStep.RESTORING, ReceiverAnswer.REFUSED): f"it does not let its own GPS be switched on ({self._outcome.value})",
             (SwitchStep.RESTORING, ReceiverAnswer.IN_USE): "its own GPS is switched on again",
         }[step, answer]
 
 
 @dataclass(slots=True)
 class _Switch:
+    """One switch. `answer` is the last one in its step that changed nothing."""
+
     receiver: OwnReceiver
     step: SwitchStep
     due_s: float
     tries: int = 0
+    answer: ReceiverAnswer | None = None
 
     @property
     def is_held(self) -> bool:
         """Whether its own receiver is out of use by our doing, or may be."""
         return self.step in (SwitchStep.SETTING, SwitchStep.OURS, SwitchStep.RESTORING)
+
+    def begin(self, step: SwitchStep, due_s: float) -> None:
+        """Begin a step, or its tries anew."""
+        self.step, self.due_s, self.tries, self.answer = step, due_s, 0, None
 
 
 class ReceiverSwitch:
@@ -253,12 +267,12 @@ class ReceiverSwitch:
             if not switch.is_held:
                 del self._switches[sysid]
                 return []
-            switch.step, switch.due_s, switch.tries = SwitchStep.RESTORING, now_s, 0
+            switch.begin(SwitchStep.RESTORING, now_s)
         if switch.step in (SwitchStep.OURS, SwitchStep.LEFT) or now_s < switch.due_s:
             return []
         if switch.tries >= _TRIES:
-            switch.tries, switch.due_s = 0, now_s + _TRY_AGAIN_S
-            text = f"{switch.receiver.wording(switch.step, None)}: no answer; tried again in {_TRY_AGAIN_S:g} s"
+            text = f"{switch.receiver.wording(switch.step, switch.answer)}; tried again in {_TRY_AGAIN_S:g} s"
+            switch.begin(switch.step, now_s + _TRY_AGAIN_S)
             return [Notice(now_s, sysid, "error", text)]
         switch.tries, switch.due_s = switch.tries + 1, now_s + RETRY_S
         return [switch.receiver.order(switch.step)]
@@ -267,13 +281,16 @@ class ReceiverSwitch:
         """Add what a vehicle reports of a parameter, or made of a command."""
         switch = self._switches.get(message.sysid)
         answer = switch.receiver.answer(switch.step, message) if switch is not None else None
-        if switch is None or answer is None or (switch.step, answer) not in _NEXT:
+        if switch is None or answer is None:
+            return []
+        if (switch.step, answer) not in _NEXT:
+            switch.answer = answer
             return []
         step, (following, level) = switch.step, _NEXT[switch.step, answer]
         if following is _DONE:
             del self._switches[message.sysid]
         else:
-            switch.step, switch.due_s, switch.tries = following, message.received_at_s, 0
+            switch.begin(following, message.received_at_s)
         if level is None:
             return []
         return [Notice(message.received_at_s, message.sysid, level, switch.receiver.wording(step, answer))]

@@ -10,7 +10,7 @@ from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.control import GpsOverride, OperatorCommand, PrimaryOverride
 from gcs_coloc.core.messages.inbound import Autopilot, CommandOutcome, CommandResult, VehicleCommand
-from gcs_coloc.core.messages.outbound import ParameterSet, SensorEnable
+from gcs_coloc.core.messages.outbound import Notice, ParameterSet, SensorEnable
 
 ENABLE, ACCEPTED = VehicleCommand.ESTIMATOR_SENSOR_ENABLE, CommandOutcome.ACCEPTED
 
@@ -95,3 +95,19 @@ def test_without_an_answer_it_is_tried_a_few_times_and_told():
     assert [o.gps for o in out if isinstance(o, SensorEnable)] == [False] * 5
     assert len(out) == 6
     assert switch.holds(4)  # it may have been heard
+
+
+def test_a_vehicle_that_refuses_to_switch_it_on_is_not_said_to_be_silent():
+    switch, sent, told = ReceiverSwitch(1), [], []
+    for step in range(60):
+        now_s = step / 2
+        for output in switch.review(4, Autopilot.PX4, now_s, wanted=now_s < 2.0):
+            if isinstance(output, Notice):
+                told.append((output.level, output.text))
+            else:
+                sent.append(output.gps)
+                outcome = CommandOutcome.DENIED if output.gps else ACCEPTED
+                told += [(n.level, n.text) for n in switch.add_answer(CommandResult(4, now_s, ENABLE, outcome))]
+    assert sent == [False, *[True] * 5]
+    assert told[1:] == [("error", "it does not let its own GPS be switched on (denied); tried again in 30 s")]
+    assert switch.holds(4)

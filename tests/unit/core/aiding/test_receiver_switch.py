@@ -14,14 +14,14 @@ class Aircraft:
 
     def __init__(self, primary: float = 0.0) -> None:
         self.primary = primary
-        self.hears = True
+        self.hears = self.takes = True
 
     def answer(self, message, now_s: float) -> list[ParameterValue]:
         if not self.hears:
             return []
         if isinstance(message, ParameterSet):
             assert message.kind == INT8
-            self.primary = message.value
+            self.primary = message.value if self.takes else self.primary
         return [ParameterValue(4, now_s, "GPS_PRIMARY", self.primary, INT8)]
 
 
@@ -114,3 +114,11 @@ def test_the_end_of_the_service_restores_it():
     run(switch, aircraft, 0.0, 5.0, wanted=True)
     assert switch.close() == [ParameterSet(4, "GPS_PRIMARY", 0.0, INT8)]
     assert switch.close() == []
+
+
+def test_a_value_that_stays_as_it_is_is_told_as_such():
+    switch, aircraft = ReceiverSwitch(1), Aircraft()
+    aircraft.takes = False
+    assert run(switch, aircraft, 0.0, 10.0, wanted=True)[1] == [
+        "GPS_PRIMARY could not be set to 1: it stays 0; tried again in 30 s"
+    ]
