@@ -167,9 +167,8 @@ class AidingStream:
         delay of the link. By how much a message takes longer than that, the vehicle's driver finds from the time in it.
         """
         self.due_s = self._schedule.after(now_s, self._period_s)
-        sysid = self._sysid
         arrives_s = now_s + min(inputs.one_way_delay_s or 0.0, _LONGEST_LEAD_S)
-        where = estimate_at(sysid, arrives_s - self.method.age_s)
+        where = estimate_at(self._sysid, arrives_s - self.method.age_s)
         is_aid = self._purpose is Purpose.AID
         if isinstance(where, NoEstimate) and not is_aid and self.purpose_for_s(now_s) < _FIRST_REPORT_S:
             # Trusted again, it has not reported yet: a message left out does less harm than one without a fix.
@@ -191,7 +190,6 @@ class AidingStream:
             utc_minus_service_s=utc_minus_service_s,
             where=where,
             inhibit=inhibit,
-            locate=lambda at_s: estimate_at(sysid, at_s),
             range_sigma_m=inputs.range_sigma_m,
             standby=not is_aid,
             is_aligned=inputs.is_aligned,

@@ -49,7 +49,7 @@ class ExternalPositionMethod:
             return []
         if moment.now_s < self._due_s:
             return []
-        where = moment.locate(moment.arrives_s)
+        where = moment.locate_node(self._sysid, moment.arrives_s)
         if isinstance(where, NoEstimate):
             return []
         late = moment.now_s - self._due_s > self._period_s

@@ -51,10 +51,10 @@ class Moment:
     """What a method may send at one time. Times are on the service's clock, s.
 
     `where` is the estimate for the time that the method's `age_s` wants, `arrives_s` when what is sent now arrives, `inhibit` why
-    no fix may be stated; `locate` estimates for other times. `range_sigma_m` is the 1-sigma of the vehicle's ranges of late.
-    `standby`: the vehicle's own receiver is in use. `is_aligned`: its EKF reports an absolute position. `transmits`: what is
-    built is sent, so that an answer may be expected. `ranges` are the vehicle's vetted ones since the last moment, `locate_node`
-    estimates another vehicle or a station at a time, `boot_s` is a service time on the vehicle's own clock, None where unknown.
+    no fix may be stated. `range_sigma_m` is the 1-sigma of the vehicle's ranges of late. `standby`: the vehicle's own receiver is
+    in use. `is_aligned`: its EKF reports an absolute position. `transmits`: what is built is sent, so that an answer may be
+    expected. `ranges` are the vehicle's vetted ones since the last moment, `locate_node` estimates any vehicle or station at a
+    time, `boot_s` is a service time on the vehicle's own clock, None where unknown.
     """
 
     now_s: float
@@ -63,7 +63,6 @@ class Moment:
     utc_minus_service_s: float | None
     where: Estimate | NoEstimate
     inhibit: Inhibit | None
-    locate: Callable[[float], Estimate | NoEstimate]
     range_sigma_m: float | None
     standby: bool
     is_aligned: bool = False

@@ -43,7 +43,7 @@ class CorrelatedPositions:
         # Without ranges nothing is forgotten; what counted before does so still.
         if moment.now_s >= self._due_s and where.ranges_in_use > 0:
             self._due_s = moment.now_s + _LEAD_S
-            ahead = moment.locate(where.at_s + _LEAD_S)
+            ahead = moment.locate_node(where.vehicle, where.at_s + _LEAD_S)
             if isinstance(ahead, Estimate):
                 growth = _horizontal_m2(ahead) / _horizontal_m2(where)
                 least = exp(_LEAD_S / _MOST_CORRELATION_S)

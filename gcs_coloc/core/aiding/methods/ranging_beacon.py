@@ -110,14 +110,13 @@ class RangingBeaconMethod:
             sigma_v_m=sqrt(float(peer.covariance[2, 2])),
         )
 
-    @staticmethod
-    def _brought(one: VettedRange, peer: Estimate, at_s: float, moment: Moment) -> tuple[float, float] | None:
+    def _brought(self, one: VettedRange, peer: Estimate, at_s: float, moment: Moment) -> tuple[float, float] | None:
         """Return a range brought to a time, m, and its variance, m^2; None where that cannot be done.
 
         The variance includes that of the peer's position. A range that was measured at that very time needs no estimate of the
         vehicle.
         """
-        own, own_then = moment.locate(at_s), moment.locate(one.measured_at_s)
+        own, own_then = (moment.locate_node(self._sysid, then_s) for then_s in (at_s, one.measured_at_s))
         if not isinstance(own, Estimate) or not isinstance(own_then, Estimate):
             worst_m2 = float(np.linalg.eigvalsh(peer.covariance[:3, :3])[-1])
             return (one.range_m, one.sigma_m**2 + worst_m2) if at_s == one.measured_at_s else None

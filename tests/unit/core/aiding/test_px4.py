@@ -58,6 +58,18 @@ def test_global_position_sensor_holds_where_it_is_on_arrival():
     east_m, _, up_m = engine.frame.enu_from_geodetic(last.lat_deg, last.lon_deg, last.alt_msl_m)
     assert (east_m, up_m) == pytest.approx((20.0 * sent_at_s, 30.0), abs=0.01)
     assert vehicle_4(engine, 10.0).aiding == "sending GLOBAL_POSITION_SENSOR"
+
+
+def test_a_prediction_is_not_taken_for_where_it_is():
+    """An altitude becomes an up coordinate over that place."""
+    engine, off_m = on_px4(AGP), []
+    lost(engine, 7.0)
+    for step in range(70, 100):
+        fly(engine, step / 10, step / 10 + 0.1, failed=[4], autopilot=Autopilot.PX4)
+        place = engine._review.last_round(4).located_enu_m
+        assert place is not None
+        off_m.append(abs(place[0] - 2.0 * step))
+    assert max(off_m) < 3.0
     assert engine.close() == []
 
 
@@ -166,7 +178,8 @@ def estimate(variance_m2: float, at_s: float = 0.0, ranges: int = 3) -> Estimate
 
 
 def moment(now_s: float, where: Estimate, ahead_m2: float) -> Moment:
-    return Moment(now_s, now_s, None, None, where, None, lambda at_s: estimate(ahead_m2, at_s), None, standby=False)
+    ahead = lambda node, at_s: estimate(ahead_m2, at_s)  # noqa: E731
+    return Moment(now_s, now_s, None, None, where, None, None, standby=False, locate_node=ahead)
 
 
 @pytest.mark.parametrize("rate_hz", [1.0, 2.0, 10.0, 50.0])

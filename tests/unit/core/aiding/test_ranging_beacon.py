@@ -64,7 +64,6 @@ def moment(now_s: float, *ranges: VettedRange, inhibit=None, locate=located, boo
         None,
         located(4, now_s),
         StatedReason(inhibit) if inhibit is not None else None,
-        lambda at_s: locate(4, at_s),
         None,
         standby=False,
         ranges=ranges,
