@@ -18,8 +18,11 @@ _FRESH_S = 30.0  # chosen: somebody else may change a parameter in flight; one q
 
 @dataclass(slots=True)
 class _PendingRequest:
+    """A request. `is_over`: it was answered, or repeated in vain; from `due_s` on it may then be made anew."""
+
     due_s: float
     tries: int = 0
+    is_over: bool = False
 
 
 class Parameters:
@@ -39,7 +42,7 @@ class Parameters:
         known, pending = self._known.get(key), self._requested.get(key)
         if known is not None and now_s - known.received_at_s < _FRESH_S:
             return
-        if pending is None or (pending.tries >= _READ_TRIES and now_s >= pending.due_s):
+        if pending is None or (pending.is_over and now_s >= pending.due_s):
             self._requested[key] = _PendingRequest(now_s)
 
     def add(self, message: ParameterValue) -> None:
@@ -48,7 +51,7 @@ class Parameters:
         if key in self._requested:
             self._known[key] = message
             self._unanswered.discard(key)
-            self._requested[key].tries, self._requested[key].due_s = _READ_TRIES, message.received_at_s + _FRESH_S
+            self._requested[key] = _PendingRequest(message.received_at_s + _FRESH_S, is_over=True)
 
     def forget(self, sysid: int) -> None:
         """Forget the parameters of a vehicle that was rebooted: they may have changed."""
@@ -72,10 +75,13 @@ class Parameters:
         """Return the requests that are to be sent by now."""
         out = []
         for (sysid, name), pending in self._requested.items():
-            if pending.tries < _READ_TRIES and now_s >= pending.due_s:
-                pending.tries += 1
-                if pending.tries == _READ_TRIES:
-                    self._unanswered.add((sysid, name))
-                pending.due_s = now_s + (RETRY_S if pending.tries < _READ_TRIES else _FRESH_S)
-                out.append(ParameterRequest(sysid, name))
+            if pending.is_over or now_s < pending.due_s:
+                continue
+            if pending.tries == _READ_TRIES:
+                # The last one has had its time, too.
+                pending.is_over, pending.due_s = True, now_s + _FRESH_S
+                self._unanswered.add((sysid, name))
+                continue
+            pending.tries, pending.due_s = pending.tries + 1, now_s + RETRY_S
+            out.append(ParameterRequest(sysid, name))
         return out

@@ -21,7 +21,15 @@ def asked_over(
 
 def test_a_silent_vehicle_is_asked_three_times_and_again_after_half_a_minute():
     times = [t for t, _ in asked_over(Parameters(), 0.0, 40.0)]
-    assert times == [0.0, 1.0, 2.0, 32.0, 33.0, 34.0]
+    assert times == [0.0, 1.0, 2.0, 33.0, 34.0, 35.0]
+
+
+def test_it_counts_as_asked_for_in_vain_once_the_last_question_has_had_its_time():
+    parameters = Parameters()
+    assert [t for t, _ in asked_over(parameters, 0.0, 3.0)] == [0.0, 1.0, 2.0]
+    assert not parameters.is_settled(4, "EK3_GPS_CHECK")
+    asked_over(parameters, 3.0, 3.2)
+    assert parameters.is_settled(4, "EK3_GPS_CHECK")
 
 
 def test_an_answer_ends_the_questions_until_it_is_old():
