@@ -272,7 +272,8 @@ class Aiding:
             return stream.status()
         if self._needs_aid(sysid, gps_state):
             by_whom = "not by this service" if self._is_held_back else "NOT SENT"
-            return f"{by_whom}: {inhibit.text if inhibit is not None else None}"
+            # Without an inhibit the next review opens its stream.
+            return f"{by_whom}: {inhibit.text}" if inhibit is not None else InhibitReason.NOT_SENT_YET.wording
         if self._override(sysid) is AidingOverride.OFF:
             return "off by the operator's override"
         obstacle = self._standby.obstacle(sysid)

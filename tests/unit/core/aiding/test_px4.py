@@ -60,6 +60,14 @@ def test_global_position_sensor_holds_where_it_is_on_arrival():
     assert vehicle_4(engine, 10.0).aiding == "sending GLOBAL_POSITION_SENSOR"
 
 
+def test_what_is_not_sent_yet_is_said_to_be_so():
+    engine = Engine(StraightLine(), settings())
+    fly(engine, 0.0, 2.0, failed=[4], autopilot=Autopilot.PX4)
+    assert vehicle_4(engine, 2.0).aiding == "NOT SENT: it has not told yet which positions its EKF2 takes"
+    parameters_told(engine, 2.0, **AGP)
+    assert vehicle_4(engine, 2.0).aiding == "not sent yet"
+
+
 def test_a_prediction_is_not_taken_for_where_it_is():
     """An altitude becomes an up coordinate over that place."""
     engine, off_m = on_px4(AGP), []
