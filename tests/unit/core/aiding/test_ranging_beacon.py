@@ -176,8 +176,8 @@ def test_only_a_range_that_has_to_be_brought_to_another_time_needs_a_place_of_th
     assert sent(method().build_messages(moment(10.0, vetted(1, 9.5), locate=peers_alone))) is None
 
 
-def measured(peer: int, at_s: float, vehicle: int = 4) -> RangeMeasurement:
-    return RangeMeasurement(vehicle, peer, at_s, at_s, 100.0, 0.5)
+def measured(peer: int, at_s: float, vehicle: int = 4, device_id: int = 0) -> RangeMeasurement:
+    return RangeMeasurement(vehicle, peer, at_s, at_s, 100.0 + device_id, 0.5, device_id)
 
 
 def residual(peer: int, at_s: float, refused: str | None = None, vehicle: int = 4) -> Residual:
@@ -193,6 +193,19 @@ def test_only_what_the_estimator_used_of_trusted_nodes_is_vetted():
     ranges.add_residuals(found, lambda node: node != 3)
     assert [(one.peer, one.range_m) for one in ranges.drain(4)] == [(1, 100.0), (5, 100.0)]
     assert ranges.drain(4) == ()
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "vetted_m"), [((None, None), [101.0, 102.0]), ((None, "gate"), []), (("gate", None), []), ((None,), [])]
+)
+def test_of_two_devices_that_range_a_peer_at_one_time_both_are_vetted_or_neither(outcomes, vetted_m):
+    """A residual does not name its device."""
+    ranges = VettedRanges(lambda sysid: sysid == 4)
+    for device_id in (1, 2, 2):  # the second is heard by two links
+        ranges.add_range(measured(1, 1.0, device_id=device_id))
+    for refused in outcomes:
+        ranges.add_residuals([residual(1, 1.0, refused)], lambda _: True)
+    assert [one.range_m for one in ranges.drain(4)] == vetted_m
 
 
 def test_nothing_is_kept_of_vehicles_that_want_none_and_little_of_those_that_take_none():
