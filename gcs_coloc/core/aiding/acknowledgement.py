@@ -62,10 +62,11 @@ class Acknowledgement(ABC):
     def review(self, vehicle: ReportedState, now_s: float, *, is_held_back: bool = False) -> tuple[str, str] | None:
         """Update the result by what the vehicle reports; return level and text of a notice that is due.
 
-        While what is built `is_held_back`, what the vehicle reports is an answer to somebody else, and nothing is judged.
+        While what is built `is_held_back`, what the vehicle reports is an answer to somebody else, and nothing is judged. What is
+        wrong once it is sent again is told again.
         """
         if is_held_back:
-            self.acknowledged, self.fault, self._wrong_since_s = None, None, None
+            self.acknowledged, self.fault, self._wrong_since_s, self._alarmed = None, None, None, False
             return None
         fault = self._fault_now(vehicle, now_s)
         if fault is not None:

@@ -39,6 +39,14 @@ def test_a_stream_that_is_taken_is_known_to_be_and_raises_nothing():
     assert acknowledgement.acknowledged is True
 
 
+def test_what_is_still_not_taken_after_a_takeover_is_told_again():
+    acknowledgement = FixAcknowledgement(1, 0.0)
+    assert len(run(acknowledgement, 0.0, 10.0, FIX, (1, 0.0))) == 1
+    assert acknowledgement.review(VEHICLE, 10.0, is_held_back=True) is None
+    ((_, level, _),) = run(acknowledgement, 10.0, 20.0, FIX, (1, 0.0))
+    assert level == "error"
+
+
 @pytest.mark.parametrize(
     ("sent", "heard", "words"),
     [
