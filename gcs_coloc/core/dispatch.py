@@ -51,7 +51,6 @@ class LastRound(NamedTuple):
     fix. `sent_fix` is the last fix that it was sent, `located_enu_m` where the estimator has it (east, north).
     """
 
-    gps_state: GpsState
     is_trusted: bool
     is_witness: bool
     is_aided: bool

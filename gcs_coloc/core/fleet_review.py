@@ -111,7 +111,6 @@ class FleetReview:
     def last_round(self, sysid: int) -> LastRound:
         """Return what the later stages found of a vehicle last."""
         return LastRound(
-            self._stages.gps_health[sysid].state,
             is_trusted=self._is_trusted(sysid),
             is_witness=sysid in self._witnesses,
             is_aided=self.decision(sysid).is_aided,
