@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from gcs_coloc.core.aiding.parameters import Parameters
 from gcs_coloc.core.aiding.receiver_switch import GPS_PRIMARY
 from gcs_coloc.core.aiding.settings import AidingSettings
-from gcs_coloc.core.messages.control import ForeignGpsInput
+from gcs_coloc.core.messages.control import NO_HEARTBEAT_YET, ForeignGpsInput
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.core.reasons import DOCTOR_NAMES_SETTINGS, DUPLICATE_ID_WORDING, StatedReason, WordedReason
 from gcs_coloc.core.telemetry.reported_state import ReportedState
@@ -18,7 +18,7 @@ class InhibitReason(WordedReason):
 
     # Nothing is sent
     NO_ROUTE = "no_route", "{detail}"
-    NO_HEARTBEAT = "no_heartbeat", "no heartbeat of an autopilot heard yet"
+    NO_HEARTBEAT = "no_heartbeat", NO_HEARTBEAT_YET
     DUPLICATE_ID = "duplicate_id", DUPLICATE_ID_WORDING
     HOST_CLOCK = "host_clock", "{detail}"
     UNKNOWN_AUTOPILOT = (
