@@ -9,7 +9,7 @@ from gcs_coloc.core.aiding.methods.registry import METHODS, method_for, mismatch
 from gcs_coloc.core.aiding.px4 import px4_method
 from gcs_coloc.core.aiding.settings import AidingMethodName
 from gcs_coloc.core.messages.control import ALL_WOULD_USE_IT, OWN_ADDRESS
-from gcs_coloc.core.messages.inbound import Autopilot
+from gcs_coloc.core.messages.inbound import FIX_3D, Autopilot
 from gcs_coloc.core.readiness.vehicle_readiness import LimitingReason, ReadinessState
 from gcs_coloc.core.stations.node_id import is_station, node_name
 from gcs_coloc.doctor import ardupilot_checks, px4_checks, stream_checks
@@ -239,7 +239,7 @@ def _receiver(vehicle: VehicleSurvey) -> Iterator[Finding]:
     if receiver is None:
         return
     satellites = f", {receiver.satellites} satellites" if receiver.satellites is not None else ""
-    if receiver.fix_type >= stream_checks.FIX_3D:
+    if receiver.fix_type >= FIX_3D:
         yield right(f"its GPS has a fix (type {receiver.fix_type}{satellites})")
     else:
         yield note(f"its GPS has no 3D fix now (fix type {receiver.fix_type}{satellites})")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gcs_coloc.core.messages.inbound import Autopilot
+from gcs_coloc.core.messages.inbound import FIX_3D, Autopilot
 from gcs_coloc.core.messages.outbound import Stream
 from gcs_coloc.core.telemetry.stream_requests import wanted_hz
 from gcs_coloc.doctor.finding import Finding, VehicleSurvey, note, right, stop
@@ -26,8 +26,6 @@ _RATES_OF = {
 _RATE_HZ = {
     rate: max(hz for stream, hz in wanted_hz(Autopilot.ARDUPILOT).items() if _RATES_OF.get(stream) == rate) for rate in STREAMS
 }
-FIX_3D = 3
-"""Source: GPS_FIX_TYPE of MAVLink."""
 _ESSENTIAL = (Stream.POSITION, Stream.FIRST_RECEIVER)
 _NO_POSITION = {
     Autopilot.ARDUPILOT: "; if its receiver has a fix, EK3_GPS_CHECK may refuse the accuracy",

@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from math import hypot
 
 from gcs_coloc.core.geodesy import horizontal_distance_m
-from gcs_coloc.core.messages.inbound import GpsReceiver
+from gcs_coloc.core.messages.inbound import FIX_3D, GpsReceiver
 from gcs_coloc.core.messages.outbound import AidingMessage, GpsInput
 from gcs_coloc.core.reasons import DOCTOR_NAMES_SETTINGS, StatedReason, WordedReason
 from gcs_coloc.core.telemetry.reported_state import ReportedState
@@ -18,7 +18,6 @@ _JUDGED_AFTER_S = 5.0  # chosen: an autopilot takes the first fixes within two, 
 _SILENCE_S = 3.0  # chosen: three reports at 1 Hz
 _LINGERS_S = 6.0  # ArduPilot keeps a fix for 4 s after the last message with one
 _NEAR_M, _NEAR_S = 50.0, 2.0
-_HAS_FIX = 3  # GPS_FIX_TYPE_3D_FIX
 _SENT_WITHIN_S = 2.0  # chosen: below the 5 s after which PX4 gives up an aid
 _EKF_FRESH_S = 6.0  # PX4 sends ESTIMATOR_STATUS every 5.5 s on a telemetry radio's default rate
 
@@ -126,7 +125,7 @@ class EkfAcknowledgement(Acknowledgement):
         heard.
         """
         receiver, ekf = vehicle.receiver, vehicle.ekf
-        if now_s - self._sent_at_s > _SENT_WITHIN_S or (receiver is not None and receiver.fix_type >= _HAS_FIX):
+        if now_s - self._sent_at_s > _SENT_WITHIN_S or (receiver is not None and receiver.fix_type >= FIX_3D):
             return None
         if ekf is None or now_s - ekf.received_at_s > _EKF_FRESH_S:
             return None
@@ -152,7 +151,7 @@ class FixAcknowledgement(Acknowledgement):
         """As the base class says."""
         if not isinstance(message, GpsInput):
             return
-        if message.fix_type >= _HAS_FIX:
+        if message.fix_type >= FIX_3D:
             self._fix, self._no_fix_since_s = message, None
         else:
             self._fix = None
@@ -171,8 +170,8 @@ class FixAcknowledgement(Acknowledgement):
         if self._fix is None:
             since_s = self._no_fix_since_s
             lingered = since_s is not None and now_s - since_s > _LINGERS_S
-            return StatedReason(FixFault.UNSENT_FIX, detail=name).text if lingered and heard.fix_type >= _HAS_FIX else None
-        if heard.fix_type < _HAS_FIX:
+            return StatedReason(FixFault.UNSENT_FIX, detail=name).text if lingered and heard.fix_type >= FIX_3D else None
+        if heard.fix_type < FIX_3D:
             return StatedReason(FixFault.NO_FIX, heard.fix_type, detail=name).text
         off_m = horizontal_distance_m(heard.lat_deg, heard.lon_deg, self._fix.lat_deg, self._fix.lon_deg)
         speed_mps = hypot(self._fix.vn_mps, self._fix.ve_mps)

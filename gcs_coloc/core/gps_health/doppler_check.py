@@ -12,7 +12,7 @@ from math import hypot, sqrt
 
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.position_checks import PathStep, path_step
-from gcs_coloc.core.messages.inbound import GpsReceiver
+from gcs_coloc.core.messages.inbound import FIX_3D, GpsReceiver
 
 _WINDOW_S = 4.0  # chosen: 2 m/s are then four sigmas of a receiver of 1.5 m at 5 Hz, and detection by ranges takes as long
 _LEAST_SPAN_S, _LEAST_FIXES = 3.0, 4  # chosen: a drift of 1 m/s stands out of the noise, and four fixes show that
@@ -20,7 +20,6 @@ _LONGEST_GAP_S = 1.5  # of a receiver at 1 Hz, with what the link adds
 _SIGMAS = 4.0  # a drift of a sound receiver is larger once in 3,000 windows (Rayleigh)
 _HELD_S = 10.0  # chosen: detection and isolation by ranges take some seconds
 _UNSTATED_SIGMA_M, _UNSTATED_SIGMA_MPS = 5.0, 0.3  # the second: EK3_VELNE_M_NSE of ArduPilot
-_HAS_FIX = 3  # GPS_FIX_TYPE_3D_FIX
 
 
 class DopplerCheck:
@@ -34,7 +33,7 @@ class DopplerCheck:
 
     def add(self, fix: GpsReceiver) -> None:
         """Add a report of the receiver."""
-        if fix.fix_type < _HAS_FIX or fix.velocity_ne_mps is None or fix.fixed_boot_s is None:
+        if fix.fix_type < FIX_3D or fix.velocity_ne_mps is None or fix.fixed_boot_s is None:
             self._clear()
             return
         if self._steps and not 0.0 <= fix.fixed_boot_s - self._steps[-1].at_s <= _LONGEST_GAP_S:

@@ -22,7 +22,7 @@ from gcs_coloc.core.gps_health.evidence import GpsEvidence, GpsReason, is_fresh,
 from gcs_coloc.core.gps_health.position_checks import MotionCheck, ReceiverCheck
 from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages.control import HOST_LATE_S, GpsOverride
-from gcs_coloc.core.messages.inbound import GlobalPosition, GpsReceiver, Interference
+from gcs_coloc.core.messages.inbound import FIX_3D, GlobalPosition, GpsReceiver, Interference
 from gcs_coloc.core.reasons import StatedReason
 from gcs_coloc.core.setting_bounds import between, check_bounds, positive
 
@@ -70,7 +70,6 @@ class GpsHealthSettings:
 _LONGEST_STEADY_S = 30.0  # chosen: a fix that comes for seconds under jamming has gone again by then
 _MOST_DOUBLINGS = 1023  # of a float: one more raises OverflowError
 _RELAPSE_WITHIN_S = 60.0  # chosen: a loss later than this after the recovery is another one
-_HAS_FIX = 3  # GPS_FIX_TYPE_3D_FIX
 _EKF_LINGERS_S = 12.0  # EKF3 holds the worst speed accuracy with a decay of 10 s, and wants 10 s of good innovations
 
 _NOTHING_HEARD = StatedReason(GpsReason.NOTHING_HEARD)
@@ -153,7 +152,7 @@ class GpsHealth:
             self._aided_at_s = now_s
         receiver, fault = evidence.receiver, self._fault(evidence, now_s)
         is_fresh = receiver is not None and now_s - receiver.received_at_s <= self._settings.silence_s
-        has_fix = is_fresh and receiver is not None and receiver.fix_type >= _HAS_FIX
+        has_fix = is_fresh and receiver is not None and receiver.fix_type >= FIX_3D
         self._has_bad_fix = has_fix and (fault is not None or evidence.override is GpsOverride.FAILED)
         if evidence.override is not GpsOverride.AUTO:
             forced = GpsState.FAILED if evidence.override is GpsOverride.FAILED else GpsState.HEALTHY
@@ -263,7 +262,7 @@ class GpsHealth:
         return unhealthy or (ekf is not None and ekf.received_at_s >= oldest_s and not ekf.horizontal_position_absolute)
 
     def _receiver_fault(self, receiver: GpsReceiver) -> StatedReason[GpsReason] | None:
-        if receiver.fix_type < _HAS_FIX:
+        if receiver.fix_type < FIX_3D:
             return StatedReason(GpsReason.NO_FIX, receiver.fix_type)
         if receiver.satellites is not None and receiver.satellites < self._settings.min_satellites:
             return StatedReason(GpsReason.FEW_SATELLITES, receiver.satellites)

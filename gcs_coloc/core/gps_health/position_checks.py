@@ -16,7 +16,7 @@ from typing import NamedTuple
 from gcs_coloc.core.geodesy import horizontal_distance_m
 from gcs_coloc.core.gps_health.evidence import GpsReason
 from gcs_coloc.core.measurements import PositionMeasurement
-from gcs_coloc.core.messages.inbound import GlobalPosition, GpsReceiver
+from gcs_coloc.core.messages.inbound import FIX_3D, GlobalPosition, GpsReceiver
 from gcs_coloc.core.reasons import StatedReason
 
 _WINDOW_S = 3.0  # chosen: long against the noise of positions, short against the time in which a fault takes an aircraft away
@@ -31,7 +31,6 @@ _UNSTATED_SIGMA_M = 5.0  # chosen: a single-frequency receiver without correctio
 _LEAST_OFF_M = 10.0  # chosen: beyond what a sound filter and its receiver differ by in a turn
 _APART_IN_TIME_S = 2.0  # a receiver's delay and the gap between two messages that are sent once a second
 _OFF_PERSISTS_S = 3.0  # chosen: longer than a filter takes to follow its receiver after a turn
-_HAS_FIX = 3  # GPS_FIX_TYPE_3D_FIX
 
 
 class PathStep(NamedTuple):
@@ -113,7 +112,7 @@ class MotionCheck:
     def add_receiver(self, fix: GpsReceiver) -> None:
         """Add a report of the vehicle's real receiver."""
         place = (fix.lat_deg, fix.lon_deg, fix.alt_msl_m)
-        if place != self._last_fix or fix.fix_type < 3:
+        if place != self._last_fix or fix.fix_type < FIX_3D:
             self._last_fix, self._same_since_s, self._same_path_m = place, fix.received_at_s, 0.0
         elif self._steps and fix.received_at_s - self._steps[-1].at_s <= _LONGEST_GAP_S + _WINDOW_S:
             speed_mps = hypot(self._steps[-1].ve_mps, self._steps[-1].vn_mps)
@@ -166,7 +165,7 @@ class ReceiverCheck:
         They are of different times: what the vehicle flies in `_APART_IN_TIME_S` is allowed for, beside five sigmas of the
         receiver. A single pair tells nothing, `_OFF_PERSISTS_S` of them in a row do.
         """
-        if position is None or fix.fix_type < _HAS_FIX or fix.received_at_s - position.received_at_s > _APART_IN_TIME_S:
+        if position is None or fix.fix_type < FIX_3D or fix.received_at_s - position.received_at_s > _APART_IN_TIME_S:
             self.fault = self._off_since_s = None
             return
         off_m = horizontal_distance_m(fix.lat_deg, fix.lon_deg, position.lat_deg, position.lon_deg)

@@ -74,6 +74,10 @@ class GlobalPosition:
     vd_mps: float
 
 
+FIX_3D = 3
+"""GPS_FIX_TYPE_3D_FIX; from it on a `fix_type` is a position in three dimensions."""
+
+
 @dataclass(frozen=True, slots=True)
 class GpsReceiver:
     """GPS_RAW_INT (24, `receiver` 0) or GPS2_RAW (124, `receiver` 1): what one receiver says of itself.

@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 
 from gcs_coloc.core.geodesy import LocalFrame, horizontal_distance_m
 from gcs_coloc.core.measurements import PositionMeasurement, Vector3
-from gcs_coloc.core.messages.inbound import Beacon, BeaconPosition, GpsReceiver, PeerRange
+from gcs_coloc.core.messages.inbound import FIX_3D, Beacon, BeaconPosition, GpsReceiver, PeerRange
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.core.reasons import CoreRefusal
 from gcs_coloc.core.stations.node_id import is_station, is_system_id, node_name, station_id_of, station_node
@@ -33,7 +33,6 @@ _MAX_TOLD = 256
 """Chosen: the same remedy once a minute, and bounded in memory."""
 _CONTRADICTS_SIGMAS, _CONTRADICTS_M = 3.0, 1.0
 """Chosen: farther than three sigmas of both positions and than rounding they are two places."""
-_FIX_3D = 3  # GPS_FIX_TYPE_3D_FIX
 
 
 class StationSource(StrEnum):
@@ -141,7 +140,7 @@ class Stations:
 
     def add_receiver(self, message: GpsReceiver) -> None:
         """Add a receiver's report, for the height of the geoid above the ellipsoid."""
-        if message.geoid_height_m is not None and message.fix_type >= _FIX_3D:
+        if message.geoid_height_m is not None and message.fix_type >= FIX_3D:
             self._geoid_height_m = message.geoid_height_m
 
     def ranged_s(self, node: int) -> float | None:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from gcs_coloc.core.clocks.fleet_clocks import FleetClocks
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import AltitudeMeasurement, AttitudeMeasurement, PositionMeasurement
-from gcs_coloc.core.messages.inbound import Attitude, GlobalPosition, GpsReceiver, PeerRange, Pressure
+from gcs_coloc.core.messages.inbound import FIX_3D, Attitude, GlobalPosition, GpsReceiver, PeerRange, Pressure
 from gcs_coloc.core.reasons import CoreRefusal
 from gcs_coloc.core.stations.stations import Station
 from gcs_coloc.core.telemetry.altitude_builder import AltitudeBuilder, SentFix
@@ -22,7 +22,6 @@ from gcs_coloc.core.telemetry.range_builder import BuiltRange, RangeBuilder
 from gcs_coloc.core.telemetry.reported_state import ReportedState, true_airspeed_mps
 
 _AIRSPEED_FRESH_S = 1.0  # chosen: five periods of VFR_HUD at the requested rate
-_FIX_3D = 3  # GPS_FIX_TYPE_3D_FIX
 
 
 class BuiltPosition(NamedTuple):
@@ -167,7 +166,7 @@ class MeasurementBuilder:
 
         While the vehicle is not trusted, `receiver_fix` returns its fix as a measurement.
         """
-        if is_trusted or self.frame is None or message.fix_type < _FIX_3D:
+        if is_trusted or self.frame is None or message.fix_type < FIX_3D:
             self._receiver_fixes.pop(message.sysid, None)
             return
         measured = self._clocks.fix_time(message)

@@ -20,13 +20,13 @@ from gcs_coloc.core.clocks.utc import gps_week_and_ms
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m, worst_sigma
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate
-from gcs_coloc.core.messages.inbound import CommandResult
+from gcs_coloc.core.messages.inbound import FIX_3D, CommandResult
 from gcs_coloc.core.messages.outbound import AidingMessage, GpsInput, Notice
 
 DELAY_MS = (("GPS1_DELAY_MS", "GPS_DELAY_MS"), ("GPS2_DELAY_MS", "GPS_DELAY_MS2"))
 """ArduPilot's delay of each receiver instance; the newest name first: ArduPilot 4.6 renamed them."""
 _MOST_DELAY_MS = 250.0  # EKF3 takes no longer one (AP_NavEKF3, setup_core)
-_FIX_3D, _NO_FIX = 3, 1  # GPS_FIX_TYPE_3D_FIX, GPS_FIX_TYPE_NO_FIX
+_NO_FIX = 1  # GPS_FIX_TYPE_NO_FIX
 _SATELLITES_WITH_FIX = 7  # enough for EKF3 (6), never so many that a switch by count would prefer us to a real receiver
 _UNKNOWN_ACCURACY_M = 9999.0  # chosen: says that nothing is known, and is finite
 _UNKNOWN_DOP = 99.99
@@ -109,7 +109,7 @@ def gps_input(
         time_usec=time_usec,
         gps_week=week,
         gps_time_of_week_ms=week_ms,
-        fix_type=_FIX_3D,
+        fix_type=FIX_3D,
         lat_deg=lat_deg,
         lon_deg=lon_deg,
         alt_msl_m=alt_msl_m,
