@@ -17,7 +17,8 @@ from gcs_coloc.core.telemetry.reported_state import ReportedState
 _JUDGED_AFTER_S = 5.0  # chosen: an autopilot takes the first fixes within two, and reports at 1 Hz
 _SILENCE_S = 3.0  # chosen: three reports at 1 Hz
 _LINGERS_S = 6.0  # ArduPilot keeps a fix for 4 s after the last message with one
-_NEAR_M, _NEAR_S = 50.0, 2.0
+_NEAR_M = 50.0  # chosen: the alert limit unless set, by which a sound fix may have stepped since the one that is reported
+_NEAR_S = 2.0  # chosen: a report at 1 Hz and a slow link are no older
 _SENT_WITHIN_S = 2.0  # chosen: below the 5 s after which PX4 gives up an aid
 _EKF_FRESH_S = 6.0  # PX4 sends ESTIMATOR_STATUS every 5.5 s on a telemetry radio's default rate
 

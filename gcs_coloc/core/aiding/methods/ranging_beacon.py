@@ -71,6 +71,7 @@ class RangingBeaconMethod:
         at_s = max(one.measured_at_s, self._stamped_s + LEAST_INTERVAL_S, moment.arrives_s - _LONGEST_AGE_S)
         if at_s > moment.arrives_s:
             return []
+        # Even where no message comes of it: kept, it would have its turn again and again before the other peers.
         del self._newest[one.peer]
         message = self._message(one, at_s, moment)
         if message is None:
