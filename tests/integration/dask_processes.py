@@ -26,14 +26,17 @@ class DaskProcess:
         self.process = subprocess.Popen(
             command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=os.environ | own, cwd="/"
         )
+        self.line = self.read_until(ready)
+
+    def read_until(self, words: str) -> str:
+        """Read what it says until a line with some words, and return that."""
         assert self.process.stderr is not None
         told = []
         for line in self.process.stderr:
             told.append(line)
-            if ready in line:
-                self.line = line.strip()
-                return
-        raise AssertionError(f"it ended with {self.process.wait()} before it was ready: {''.join(told[-10:])}")
+            if words in line:
+                return line.strip()
+        raise AssertionError(f"it ended with {self.process.wait()} before it said {words!r}: {''.join(told[-10:])}")
 
     def kill(self) -> None:
         """End it without a word, as the kernel does when memory runs out."""
@@ -58,6 +61,14 @@ class Cluster:
         worker = DaskProcess(arguments, "Starting established connection", environment)
         self.workers.append(worker)
         return worker
+
+    def end_workers(self) -> None:
+        """End all workers and return when the scheduler has missed them, too."""
+        for worker in self.workers:
+            worker.kill()
+        for _ in self.workers:
+            self.scheduler.read_until("Remove worker")
+        self.workers.clear()
 
     def end(self) -> None:
         """End all that still runs."""
