@@ -38,8 +38,9 @@ def flown(air: TwoLinks) -> Iterator[None]:
         thread.join()
 
 
-@pytest.fixture
-def pages(tmp_path) -> Iterator[Pages]:
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory) -> Iterator[Pages]:
+    tmp_path = tmp_path_factory.mktemp("standby")
     (tmp_path / "token").write_text(f"{TOKEN}\n")
     (tmp_path / "token").chmod(0o600)
     with two_links() as (air, ports), flown(air):
