@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Iterator
 from math import dist, hypot, sqrt
 
 import numpy as np
@@ -27,13 +28,16 @@ from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.encoder import Encoder
 from gcs_coloc.study.closed_loop import fly
+from sitl_fakes.fleet import STEP_S, Fleet
+from sitl_fakes.flight import VehicleTruth
 from sitl_fakes.geodesy import WorldFrame
-from sitl_fakes.scenario import load_scenario
+from sitl_fakes.scenario import Scenario, load_scenario
 
 FRAME = LocalFrame(47.0, 8.0, 500.0)
 BOOT_MINUS_SERVICE_S = 1000.0
 MAST = station_node(3)
 SPEED_MPS = 20.0
+EPOCH_S = 1_780_000_000.0
 
 
 def located(node: int, at_s: float) -> Estimate:
@@ -253,26 +257,36 @@ def px4_alone(stations: tuple[int, ...]):
     return scenario.model_copy(update={"vehicle": [vehicle], "dead_reckoning": bad_air, "ranging": forwarded}), settings
 
 
-def autopilot_errors_m(flight, from_s: float) -> list[float]:
-    truths = [s.truth for s in flight.samples[4] if s.at_s >= from_s]
-    return [hypot(t.estimate_east_m - t.east_m, t.estimate_north_m - t.north_m) for t in truths]
+def autopilot_errors_m(truths: Iterable[VehicleTruth], from_s: float) -> list[float]:
+    return [hypot(t.estimate_east_m - t.east_m, t.estimate_north_m - t.north_m) for t in truths if t.at_s >= from_s]
+
+
+def aided(scenario: Scenario, settings: EngineSettings, duration_s: float) -> list[VehicleTruth]:
+    flight = fly(scenario, 7, Engine(load_estimator("fleet", {}), settings), duration_s=duration_s)
+    return [sample.truth for sample in flight.samples[4]]
+
+
+def alone(scenario: Scenario, duration_s: float) -> Iterator[VehicleTruth]:
+    """The same flight without a service, seen as often."""
+    fleet = Fleet(scenario, 7, EPOCH_S)
+    for step in range(round(duration_s / STEP_S) + 1):
+        fleet.advance(step * STEP_S)
+        if step % 10 == 0:
+            yield fleet.truth()[4]
 
 
 def test_a_px4_without_gps_flies_on_the_ranges_that_it_is_handed():
     scenario, settings = px4_alone((1, 2, 3, 4))
-    flight = fly(scenario, 7, Engine(load_estimator("fleet", {}), settings), duration_s=60.0)
-    assert np.sqrt(np.mean(np.square(autopilot_errors_m(flight, 30.0)))) < 3.0
-    assert flight.samples[4][-1].truth.source == "ranging beacons"
-    assert flight.samples[4][-1].truth.aid_refusal is None
+    truths = aided(scenario, settings, 60.0)
+    assert np.sqrt(np.mean(np.square(autopilot_errors_m(truths, 30.0)))) < 3.0
+    assert truths[-1].source == "ranging beacons"
+    assert truths[-1].aid_refusal is None
 
 
 def test_even_one_station_helps():
     scenario, settings = px4_alone((3,))
-    aided, alone = (
-        fly(scenario, 7, Engine(load_estimator("fleet", {}), settings), duration_s=80.0, aided=is_aided)
-        for is_aided in (True, False)
-    )
-    assert np.mean(autopilot_errors_m(aided, 30.0)) < 0.7 * np.mean(autopilot_errors_m(alone, 30.0))
+    with_it, without = aided(scenario, settings, 80.0), alone(scenario, 80.0)
+    assert np.mean(autopilot_errors_m(with_it, 30.0)) < 0.7 * np.mean(autopilot_errors_m(without, 30.0))
 
 
 def test_behind_a_shared_radio_no_range_is_sent_for_every_px4_takes_it():
