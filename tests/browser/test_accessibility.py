@@ -28,6 +28,13 @@ def recording(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
+def replayed(recording) -> Iterator[str]:
+    """The address of the page on which that flight is replayed."""
+    with replaying(recording) as (_, url):
+        yield url
+
+
+@pytest.fixture(scope="module")
 def report(recording):
     """The report of that flight, as a page."""
     out = recording.with_suffix(".html")
@@ -86,18 +93,17 @@ def test_a_page_that_has_lost_its_service(live, tmp_path):
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_a_replayed_flight(live, recording, scheme):
-    with replaying(recording) as (_, url):
-        page = live.chromium.new_page(viewport={"width": 1440, "height": 900}, color_scheme=scheme)
-        page.goto(url)
-        place = page.get_by_role("slider", name="Position in the recording")
-        place.focus()
-        page.keyboard.press("End")
-        expect(place).to_have_attribute("aria-valuetext", re.compile("^0:(39|40) of"))
-        expect(card(page, 4)).to_contain_text("GPS failed")
-        card(page, 4).click()
-        assert violations(page) == []
-        page.close()
+def test_a_replayed_flight(live, replayed, scheme):
+    page = live.chromium.new_page(viewport={"width": 1440, "height": 900}, color_scheme=scheme)
+    page.goto(replayed)
+    place = page.get_by_role("slider", name="Position in the recording")
+    place.focus()
+    page.keyboard.press("End")
+    expect(place).to_have_attribute("aria-valuetext", re.compile("^0:(39|40) of"))
+    expect(card(page, 4)).to_contain_text("GPS failed")
+    card(page, 4).click()
+    assert violations(page) == []
+    page.close()
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
