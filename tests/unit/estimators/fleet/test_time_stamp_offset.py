@@ -45,9 +45,9 @@ def fly(seed: int, *, stated: bool, stamped_by_denied: bool) -> tuple[list[float
                 estimator.add(AltitudeMeasurement(vehicle, t, t, float(place[2]) + 0.5, 2.0))
                 continue
             sigma_m = math.hypot(0.5, float(np.hypot(u[0], u[1])) * CLOCK_SIGMA_S)
-            stated = tuple((u + 0.1 * noise[3:]).tolist())
+            reported = tuple((u + 0.1 * noise[3:]).tolist())
             estimator.add(
-                PositionMeasurement(vehicle, t, t, tuple(place.tolist()), sigma_m, 0.5, stated, 0.3, time_sigma_s=time_sigma_s)
+                PositionMeasurement(vehicle, t, t, tuple(place.tolist()), sigma_m, 0.5, reported, 0.3, time_sigma_s=time_sigma_s)
             )
         for peer in (1, 2, 3) if k % 2 == 0 and k > 10 else ():
             at_s = t + late_s[DENIED] if stamped_by_denied else t
