@@ -24,7 +24,7 @@ lack some of the names."""
 _ROVERS = frozenset((mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_TYPE_SURFACE_BOAT))
 _WINGED = frozenset((mavlink.MAV_TYPE_FIXED_WING, *range(19, 26)))
 """MAV_TYPEs that fly along their nose and turn by banking; from 19 on VTOLs, whose airspeed is next to none while they hover."""
-_HOVERING = (2, 3, 4, 13, 14, 15, 29, 35)
+_HOVERING = (2, 3, 4, 13, 14, 15, 29, 35, 43)
 """MAV_TYPEs of multirotors and helicopters, by number: older pymavlinks lack some of the names."""
 _BOATS = (mavlink.MAV_TYPE_SURFACE_BOAT, mavlink.MAV_TYPE_SUBMARINE)
 _VEHICLE_CLASSES: Mapping[int, VehicleClass] = {
