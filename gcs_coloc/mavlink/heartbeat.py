@@ -45,7 +45,7 @@ def _names(enumeration: str) -> dict[int, str]:
     return {value: entry.name.removeprefix(f"{enumeration}_") for value, entry in entries if not entry.name.endswith("_ENUM_END")}
 
 
-_PLANE_MODES, _COPTER_MODES, _ROVER_MODES = _names("PLANE_MODE"), _names("COPTER_MODE"), _names("ROVER_MODE")
+_PLANE_MODES, _COPTER_MODES, _ROVER_MODES, _SUB_MODES = map(_names, ("PLANE_MODE", "COPTER_MODE", "ROVER_MODE", "SUB_MODE"))
 
 
 def heartbeat(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Heartbeat | None:
@@ -71,11 +71,14 @@ def heartbeat(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Hear
 def ardupilot_mode(vehicle_type: int, custom_mode: int) -> str:
     """Return the name of a flight mode of ArduPilot; the number as text where it has none.
 
-    It is of PLANE_MODE, ROVER_MODE or COPTER_MODE, by MAV_TYPE.
+    It is of PLANE_MODE, ROVER_MODE, SUB_MODE or COPTER_MODE, by MAV_TYPE.
     """
-    modes: Mapping[int, str] = (
-        _PLANE_MODES if vehicle_type in _WINGED else _ROVER_MODES if vehicle_type in _ROVERS else _COPTER_MODES
-    )
+    if vehicle_type in _WINGED:
+        modes = _PLANE_MODES
+    elif vehicle_type in _ROVERS:
+        modes = _ROVER_MODES
+    else:
+        modes = _SUB_MODES if vehicle_type == mavlink.MAV_TYPE_SUBMARINE else _COPTER_MODES
     return modes.get(custom_mode, str(custom_mode))
 
 

@@ -15,6 +15,7 @@ from gcs_coloc.mavlink.heartbeat import ardupilot_mode, heartbeat, px4_mode
         (mavlink.MAV_TYPE_QUADROTOR, 6, "RTL"),
         (mavlink.MAV_TYPE_GROUND_ROVER, 4, "HOLD"),
         (mavlink.MAV_TYPE_SURFACE_BOAT, 10, "AUTO"),
+        (mavlink.MAV_TYPE_SUBMARINE, 19, "MANUAL"),
         (mavlink.MAV_TYPE_QUADROTOR, 99, "99"),
     ],
 )
