@@ -5,6 +5,7 @@ They are about its page, processes, hot standby, recordings and broker.
 
 from __future__ import annotations
 
+from ipaddress import ip_address
 from typing import Literal, Self
 
 from pydantic import Field, field_validator, model_validator
@@ -82,7 +83,10 @@ def _host_and_port(address: str) -> tuple[str, int]:
 
 
 def _is_loopback(host: str) -> bool:
-    return host in ("localhost", "::1") or host.startswith("127.")
+    try:
+        return host == "localhost" or ip_address(host).is_loopback
+    except ValueError:
+        return False  # any other name may lead anywhere, also one that begins like an address
 
 
 class StandbyConfig(Section):

@@ -260,6 +260,7 @@ def test_an_environment_variable_of_an_old_section_is_told_by_its_new_name(monke
     [
         ('peer = "192.168.1.12:14590"', ["standby", "key_file", "openssl rand"]),
         ('peer = "127.0.0.1:14590"', ["standby", "key_file"]),  # it listens on all interfaces
+        ('peer = "127.elsewhere.example:14590"\nlisten = "127.0.0.1:14590"', ["standby", "key_file"]),  # a name, not an address
         ('peer = "192.168.1.12"\nkey_file = "key"', ["standby", "192.168.1.12 is not HOST:PORT"]),
         ('peer = "192.168.1.12:0"\nkey_file = "key"', ["is not HOST:PORT"]),
         ('peer = "127.0.0.1:14590"\nlisten = "here"', ["here is not HOST:PORT"]),
