@@ -14,6 +14,7 @@ import signal
 import time
 import urllib.request
 from collections.abc import Mapping, Sequence
+from http.client import HTTPException
 
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import Metric
@@ -163,5 +164,5 @@ def _scrape(page: str) -> list[Metric]:
     try:
         with opener.open(f"{page}metrics", timeout=_SCRAPE_WITHIN_S) as answer:
             return read_metrics(answer.read().decode())
-    except (OSError, ValueError):
+    except (OSError, HTTPException, ValueError):
         return []
