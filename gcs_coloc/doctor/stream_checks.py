@@ -59,11 +59,13 @@ def check(vehicle: VehicleSurvey) -> Iterator[Finding]:
             yield note(f"{name} comes at {rate_hz:.1f} Hz, {hz:g} Hz are wanted", *_remedy(vehicle, rate))
         elif number in vehicle.empty and stream is Stream.AIRSPEED:
             good.append(f"{name} without an airspeed, as of a vehicle without its sensor")
-        elif number in vehicle.empty:
+        elif number in vehicle.empty and stream is Stream.POSITION:
             yield lacking(
                 f"{name} holds no position: the autopilot has none yet",
                 f"wait for its EKF{_NO_POSITION.get(vehicle.autopilot, '')}",
             )
+        elif number in vehicle.empty:
+            yield lacking(f"{name} has impossible values and is not used")
         elif stream is Stream.POSITION and _has_no_fix_yet(vehicle):
             yield lacking(
                 f"{name} is not heard: a PX4 sends none before the first fix of its receiver, which has none now",

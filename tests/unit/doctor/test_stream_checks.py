@@ -120,6 +120,13 @@ def test_where_the_autopilot_has_no_position_its_own_parameters_are_named(autopi
     assert finding.remedy.startswith(words)
 
 
+@pytest.mark.parametrize(("number", "severity"), [(24, Severity.STOP), (30, Severity.NOTE), (2, Severity.NOTE)])
+def test_impossible_values_of_another_message_are_not_taken_for_a_want_of_position(number, severity):
+    (finding,) = said(Autopilot.ARDUPILOT, {}, {k: hz for k, hz in WANTED_HZ.items() if k != number}, empty=frozenset({number}))
+    assert finding.severity is severity
+    assert finding.text.endswith(" has impossible values and is not used")
+
+
 @pytest.mark.parametrize(("parameters", "notes"), [({"GPS2_TYPE": 0.0}, 0), ({"GPS_TYPE2": 0.0}, 0), ({"GPS2_TYPE": 14.0}, 1)])
 def test_a_receiver_that_is_switched_off_is_not_missed_on_the_link(parameters, notes):
     without = {number: hz for number, hz in WANTED_HZ.items() if number != 124}
