@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from gcs_coloc.core.aiding.methods.registry import METHODS, method_for, mismatch
@@ -16,6 +16,7 @@ from gcs_coloc.doctor import ardupilot_checks, px4_checks, stream_checks
 from gcs_coloc.doctor.finding import Finding, FleetSurvey, Setup, Severity, VehicleSurvey, note, right, stop
 from gcs_coloc.doctor.parameters import SENDERS_OPTION, look_up
 from gcs_coloc.doctor.ports import FORWARDS_UNKNOWN, serial_ports
+from gcs_coloc.mavlink.refusals import Refusal
 
 _ORDER = (Severity.STOP, Severity.NOTE, Severity.RIGHT)
 _MARKS = {Severity.STOP: "STOP ", Severity.NOTE: "note ", Severity.RIGHT: "right"}
@@ -91,11 +92,11 @@ OFTEN = 20  # chosen: within 15 s more than once a second: no accident
 MUCH_BYTES = 200  # chosen: more than the rest of a frame that was cut off when listening began
 
 _BETTER_PLACED = "see that in flight its peers stand around it: gcs-coloc plan tells where; or set up a station"
-_HARMFUL = {
-    "unsigned": "a link that requires signatures hears unsigned frames: give the vehicle the key",
-    "signature_wrong": "a vehicle has another key than ours",
-    "signature_old": "a vehicle signs with a time over a minute behind this computer's: set one of the two clocks",
-    "bad_crc": "frames arrive broken: a weak radio, a wrong baud rate, or two programs on one device",
+_HARMFUL: Mapping[Refusal, str] = {
+    Refusal.UNSIGNED: "a link that requires signatures hears unsigned frames: give the vehicle the key",
+    Refusal.SIGNATURE_WRONG: "a vehicle has another key than ours",
+    Refusal.SIGNATURE_OLD: "a vehicle signs with a time over a minute behind this computer's: set one of the two clocks",
+    Refusal.BAD_CRC: "frames arrive broken: a weak radio, a wrong baud rate, or two programs on one device",
 }
 
 
@@ -262,7 +263,7 @@ def _clock(vehicle: VehicleSurvey) -> Iterator[Finding]:
 
 def _number(survey: FleetSurvey) -> Iterator[Finding]:
     heard = len(survey.vehicles)
-    garbage_bytes = survey.refused.get("garbage_bytes", 0)
+    garbage_bytes = survey.refused.get(Refusal.GARBAGE_BYTES, 0)
     if heard == 0 and garbage_bytes >= MUCH_BYTES:
         yield stop(
             f"no vehicle was heard in {survey.seconds:g} s, but {garbage_bytes} bytes that are no MAVLink",
