@@ -242,7 +242,7 @@ class KeptResults:
         """
         try:
             result: object = pickle.loads(path.read_bytes())  # noqa: S301 - as much the user's own as the program is
-        except (OSError, pickle.UnpicklingError, EOFError) as error:
+        except Exception as error:  # a damaged pickle can raise any
             raise UsageError(f"--resume {self._directory}: {path.name} cannot be read ({error}); delete it") from None
         return result
 

@@ -1,5 +1,6 @@
 import gc
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -145,10 +146,14 @@ def test_results_of_another_program_are_not_taken(tmp_path: Path, monkeypatch: p
     assert done.read_text().split() == ["1", "1"]
 
 
-def test_a_kept_result_that_is_damaged_is_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"\x80\xff", pickle.dumps([1, 2])[:-3], b"a", b"Inine\n.", b"cgcs_coloc\nnone\n.", b"cnowhere\nnone\n.", b"\x85."],
+)
+def test_a_kept_result_that_is_damaged_is_named(tmp_path: Path, content: bytes) -> None:
     kept = KeptResults(tmp_path / "kept")
     path = kept.path_of(factorial, 3)
-    path.write_bytes(b"")
+    path.write_bytes(content)
 
     with pytest.raises(UsageError, match=f"{path.name} cannot be read"):
         run_tasks(factorial, [3], Workers(), lambda *_: None, kept)
