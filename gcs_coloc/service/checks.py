@@ -38,4 +38,4 @@ def check_fleets(path: Path | None, fleets: Iterable[FleetOf]) -> None:
             if settings.web.token_file:
                 read_token(Path(settings.web.token_file))
             if settings.web.tiles:
-                TileFile(Path(settings.web.tiles))
+                TileFile(Path(settings.web.tiles)).close()

@@ -66,10 +66,10 @@ class TileFile:
             self._header = deserialize_header(os.pread(self._fd, _HEADER_BYTES, 0))
             metadata = self._metadata()
         except (MagicNumberNotFound, SpecVersionUnsupported, *_DAMAGED):
-            os.close(self._fd)
+            self.close()
             raise ConfigError(f"{self._where}: is no whole PMTiles file of version 3") from None
         if self._header["tile_type"] not in _MEDIA_TYPES or self._header["tile_compression"] is not Compression.NONE:
-            os.close(self._fd)
+            self.close()
             kind = self._header["tile_type"].name
             raise ConfigError(f"{self._where}: holds {kind} tiles; pictures are wanted (png, jpeg, webp, avif), uncompressed")
         self.media_type = _MEDIA_TYPES[self._header["tile_type"]]
@@ -80,6 +80,10 @@ class TileFile:
             max_zoom=self._header["max_zoom"],
             attribution=attribution,
         )
+
+    def close(self) -> None:
+        """Close the archive; it has no tiles any more."""
+        os.close(self._fd)
 
     def tile(self, zoom: int, x: int, y: int) -> bytes | None:
         """Return one tile of the usual scheme (web Mercator, y from north).

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from tile_archive import write_archive
 
 from gcs_coloc.cli.preflight import check_config
 from gcs_coloc.config.fleets import load_settings
@@ -174,6 +175,14 @@ def test_check_config_opens_every_file_that_the_configuration_names(tmp_path, mo
     (tmp_path / "coloc.toml").write_text(f'links = ["udpin:127.0.0.1:14550"]\n{text}')
     with pytest.raises(GcsColocError, match=words):
         check_config(Path("coloc.toml"))
+
+
+def test_the_check_leaves_no_file_open(tmp_path):
+    """The supervisor of many fleets runs on after it."""
+    write_archive(tmp_path / "map.pmtiles", [(0, 0, 0)])
+    path = written(tmp_path, f'links = ["14550"]\n[web]\ntiles = "{tmp_path}/map.pmtiles"\n')
+    check_config(path)
+    assert not any(link.readlink().name == "map.pmtiles" for link in Path("/proc/self/fd").iterdir() if link.is_symlink())
 
 
 @pytest.mark.parametrize(
