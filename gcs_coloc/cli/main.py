@@ -233,7 +233,7 @@ def run(
         fleets = load_fleets(config, flags, fleet, is_checked=supervisor is not None)
     if config is None and not fleets[0].settings.links:
         fleets = load_fleets(None, flags | {"links": [DEFAULT_LINK]})
-    if not all(fleet.settings.links for fleet in fleets) or not fleets:
+    if not all(fleet.settings.links for fleet in fleets):
         raise UsageError(f'{config}: no link to listen on; give `links` in it, as links = ["{DEFAULT_LINK}"], or --udp 14550')
     terminal = terminal_of(sys.stdout)
     level = log_level.value.upper()

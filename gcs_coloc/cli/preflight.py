@@ -34,7 +34,7 @@ def check_config(file: Annotated[Path, typer.Argument(help="The configuration fi
     for fleet in fleets:
         whose = f"fleet {fleet.name}: " if fleet.name else ""
         found.append(f"{whose}{len(fleet.settings.links)} link(s), estimator {fleet.settings.estimator.name}")
-    if fleets and fleets[0].settings.service.processes == PER_FLEET:
+    if fleets[0].settings.service.processes == PER_FLEET:
         found.append("a process for each fleet")
     print(f"{file}: good; {'; '.join(found)}")
 

@@ -113,6 +113,8 @@ def load_settings(path: Path | None, flags: Mapping[str, Any], fleet: str | None
 
 
 def _several(path: Path | None, table: Mapping[str, Any], flags: Mapping[str, Any]) -> Sequence[FleetOf]:
+    if not table["fleet"]:
+        raise ConfigError(f"{path}: fleet: there is none in the list; begin each fleet with [[fleet]]")
     for key in ("links", "out"):
         if key in table:
             raise ConfigError(f"{path}: {key}: of which fleet? Each [[fleet]] has {key} of its own")

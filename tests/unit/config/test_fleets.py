@@ -79,6 +79,7 @@ FLEET = '[[fleet]]\nname = "north"\nlinks = ["14550"]\n'
 @pytest.mark.parametrize(
     ("text", "words"),
     [
+        ("fleet = []\n", ["fleet: there is none", "[[fleet]]"]),
         ('[[fleet]]\nlinks = ["14550"]\n', ["fleet 1", "name"]),
         ('[[fleet]]\nname = "a/b"\nlinks = ["14550"]\n', ["fleet 1", "name", "letters"]),
         ('[[fleet]]\nname = "north"\n', ["fleet 1 (north)", "links"]),
