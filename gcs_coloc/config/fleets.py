@@ -9,13 +9,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
+from itertools import combinations, product
+from operator import eq
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from gcs_coloc.config.service_sections import topic_level
 from gcs_coloc.config.settings import Settings, read_table, settings_of
 from gcs_coloc.core.errors import ConfigError, GcsColocError, UsageError
-from gcs_coloc.links.base import parse, parse_out
+from gcs_coloc.links.base import LinkAddress, parse, parse_out
+
+Value = TypeVar("Value")
 
 PER_FLEET = "per-fleet"
 """Of `processes` in `[service]`: a process for each fleet."""
@@ -120,8 +124,8 @@ def _several(path: Path | None, table: Mapping[str, Any], flags: Mapping[str, An
             raise ConfigError(f"{path}: {key}: of which fleet? Each [[fleet]] has {key} of its own")
     fleets = [_fleet(path, number, table, own, flags) for number, own in enumerate(table["fleet"], 1)]
     _nothing_shared(path, "name", fleets, lambda fleet: [fleet.name])
-    _nothing_shared(path, "links", fleets, lambda fleet: [str(parse(link)) for link in fleet.settings.links])
-    _nothing_shared(path, "out", fleets, lambda fleet: [str(parse_out(out)) for out in fleet.settings.out])
+    _nothing_shared(path, "links", fleets, _links, lambda one, other: one.is_same_place(other))
+    _nothing_shared(path, "out", fleets, _outs, lambda one, other: one.is_same_place(other))
     _nothing_shared(path, "web.address", fleets, _fixed_address)
     _nothing_shared(path, "standby.listen", fleets, _standby_address)
     for fleet in fleets:
@@ -172,6 +176,14 @@ def _fleet(path: Path | None, number: int, common: Mapping[str, Any], own: objec
     )
 
 
+def _links(fleet: FleetOf) -> list[LinkAddress]:
+    return [parse(link) for link in fleet.settings.links]
+
+
+def _outs(fleet: FleetOf) -> list[LinkAddress]:
+    return [parse_out(out) for out in fleet.settings.out]
+
+
 def _fixed_address(fleet: FleetOf) -> list[str]:
     web = fleet.settings.web
     return [web.address] if web.on and web.host_and_port()[1] != 0 else []
@@ -181,10 +193,15 @@ def _standby_address(fleet: FleetOf) -> list[str]:
     return [fleet.settings.standby.listen] if fleet.settings.standby.peer else []
 
 
-def _nothing_shared(path: Path | None, key: str, fleets: list[FleetOf], of: Callable[[FleetOf], list[str]]) -> None:
-    seen: dict[str, str] = {}
-    for fleet in fleets:
-        for value in of(fleet):
-            if value in seen:
-                raise ConfigError(f"{path}: {key}: {value} is given to {seen[value]} and to {fleet.name}; each needs its own")
-            seen[value] = f"fleet {fleet.name}"
+def _nothing_shared(
+    path: Path | None,
+    key: str,
+    fleets: list[FleetOf],
+    of: Callable[[FleetOf], list[Value]],
+    is_same: Callable[[Value, Value], bool] = eq,
+) -> None:
+    for one, other in combinations(fleets, 2):
+        for its, others in product(of(one), of(other)):
+            if is_same(its, others):
+                what = f"{its} is" if its == others else f"{its} and {others} are the same place,"
+                raise ConfigError(f"{path}: {key}: {what} given to fleet {one.name} and to {other.name}; each needs its own")

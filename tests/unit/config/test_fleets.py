@@ -85,6 +85,14 @@ FLEET = '[[fleet]]\nname = "north"\nlinks = ["14550"]\n'
         ('[[fleet]]\nname = "north"\n', ["fleet 1 (north)", "links"]),
         (FLEET + FLEET, ["name", "north"]),
         (FLEET + FLEET.replace("north", "south"), ["links", "udpin:0.0.0.0:14550", "fleet north", "south"]),
+        (
+            FLEET + FLEET.replace("north", "south").replace("14550", "udpin:127.0.0.1:14550"),
+            ["links", "udpin:0.0.0.0:14550 and udpin:127.0.0.1:14550 are the same place", "fleet north", "south"],
+        ),
+        (
+            FLEET.replace("14550", "/dev/tty1:57600") + FLEET.replace("north", "south").replace("14550", "/dev/tty1:115200"),
+            ["links", "same place", "fleet north", "south"],
+        ),
         (FLEET + "colour = 3\n", ["fleet 1 (north)", "fleet.colour", "unknown key"]),
         (FLEET + "[fleet.aiding]\nrate_hz = -1\n", ["fleet 1 (north)", "rate_hz", "from 1 to 50"]),
         ('links = ["14550"]\n' + FLEET, ["links", "which fleet"]),
