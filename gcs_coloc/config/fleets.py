@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
-from itertools import combinations, product
+from itertools import combinations, permutations, product
 from operator import eq
 from pathlib import Path
 from typing import Any, TypeVar
@@ -126,6 +126,13 @@ def _several(path: Path | None, table: Mapping[str, Any], flags: Mapping[str, An
     _nothing_shared(path, "name", fleets, lambda fleet: [fleet.name])
     _nothing_shared(path, "links", fleets, _links, lambda one, other: one.is_same_place(other))
     _nothing_shared(path, "out", fleets, _outs, lambda one, other: one.is_same_place(other))
+    for one, other in permutations(fleets, 2):
+        for out, link in product(_outs(one), _links(other)):
+            if out.leads_to(link):
+                raise ConfigError(
+                    f"{path}: out: {out} of fleet {one.name} leads to the vehicles' link {link} of fleet {other.name}; "
+                    "give the address where the ground tool is"
+                )
     _nothing_shared(path, "web.address", fleets, _fixed_address)
     _nothing_shared(path, "standby.listen", fleets, _standby_address)
     for fleet in fleets:

@@ -93,6 +93,10 @@ FLEET = '[[fleet]]\nname = "north"\nlinks = ["14550"]\n'
             FLEET.replace("14550", "/dev/tty1:57600") + FLEET.replace("north", "south").replace("14550", "/dev/tty1:115200"),
             ["links", "same place", "fleet north", "south"],
         ),
+        (
+            FLEET + FLEET.replace("north", "south").replace("50", "51") + 'out = ["udp:127.0.0.1:14550"]\n',
+            ["out", "udpout:127.0.0.1:14550 of fleet south", "link udpin:0.0.0.0:14550 of fleet north"],
+        ),
         (FLEET + "colour = 3\n", ["fleet 1 (north)", "fleet.colour", "unknown key"]),
         (FLEET + "[fleet.aiding]\nrate_hz = -1\n", ["fleet 1 (north)", "rate_hz", "from 1 to 50"]),
         ('links = ["14550"]\n' + FLEET, ["links", "which fleet"]),
