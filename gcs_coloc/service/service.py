@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import signal
 import socket
 from collections.abc import Callable, Coroutine, Sequence
 from functools import partial
@@ -19,6 +18,7 @@ from gcs_coloc.recorder.journal import EVERY_S
 from gcs_coloc.runtime.clock import ServiceClock, read_host_clock
 from gcs_coloc.runtime.process import exclude_start
 from gcs_coloc.service.fleet_service import FleetService
+from gcs_coloc.service.signals import stop_on_signals
 from gcs_coloc.sinks import console as console_sink
 
 if TYPE_CHECKING:
@@ -42,7 +42,6 @@ _STATISTICS = "scipy.special"
 _MQTT_PACKAGES = ("aiomqtt", "gcs_coloc.sinks.mqtt")
 _WEB_PACKAGES = ("starlette.applications", "prometheus_client", "uvicorn", "gcs_coloc.web.app", "gcs_coloc.web.server")
 """What the page needs, in pieces that take some 50 ms each."""
-_ENDING = (signal.SIGINT, signal.SIGTERM)
 
 
 class Service:
@@ -72,12 +71,7 @@ class Service:
             LinkError: a link cannot be opened.
             WebError: the page's address was asked for and cannot be had.
         """
-        loop = asyncio.get_running_loop()
-        for sign in _ENDING:
-            loop.add_signal_handler(sign, self.stop)
-        # The terminal was closed or its connection broke: the aided vehicles must learn of it. Under nohup the flight goes on.
-        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
-            loop.add_signal_handler(signal.SIGHUP, self.stop)
+        stop_on_signals(self.stop)
         exclude_start()
         failure: GcsColocError | None = None
         events = {fleet.name: fleet.path.events.subscribe() for fleet in self._fleets}

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import signal
 import time
 import urllib.request
 from collections.abc import Mapping, Sequence
@@ -21,6 +20,7 @@ from prometheus_client.core import Metric
 
 from gcs_coloc.config.fleets import FleetOf
 from gcs_coloc.core.errors import WebError
+from gcs_coloc.service.signals import stop_on_signals
 from gcs_coloc.service.worker import Worker, WorkerReport
 from gcs_coloc.sinks.event_bus import IdleScheduler
 from gcs_coloc.sinks.fleets_metrics import MergedMetrics, read_metrics, worker_metrics
@@ -60,12 +60,7 @@ class Supervisor:
         Raises:
             WebError: the page's address was asked for and cannot be had.
         """
-        loop = asyncio.get_running_loop()
-        for sign in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(sign, self.stop)
-        # As the service: the vehicles must learn of a terminal that was closed; under nohup the flight goes on.
-        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
-            loop.add_signal_handler(signal.SIGHUP, self.stop)
+        stop_on_signals(self.stop)
         web = self._open_page()
         for name in self._workers:
             self._watched.receive_connection(name, name, None, time.monotonic())

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import signal
 import time
 
 from gcs_coloc.config.service_sections import MqttConfig, WebConfig
 from gcs_coloc.runtime.process import exclude_start
+from gcs_coloc.service.signals import stop_on_signals
 from gcs_coloc.sinks.event_bus import IdleScheduler
 from gcs_coloc.sinks.fleets_table import FleetsTable, fleet_line
 from gcs_coloc.sinks.mqtt_watch import MqttWatch
@@ -50,9 +50,8 @@ class Watch:
         Raises:
             WebError: the page's address cannot be had, or the page has failed.
         """
-        loop, stopping = asyncio.get_running_loop(), asyncio.Event()
-        for sign in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            loop.add_signal_handler(sign, stopping.set)
+        stopping = asyncio.Event()
+        stop_on_signals(stopping.set)
         serving: asyncio.Task[None] | None = None
         if self._web is not None:
             log.info("web page: %s", self._web.open())
