@@ -26,8 +26,6 @@ from gcs_coloc.mavlink.inbound import AUTOPILOT_CONVERTERS, CONVERTERS
 from gcs_coloc.mavlink.refusals import Counts, Field, InvalidValue, Refusal
 from gcs_coloc.mavlink.signing import LinkSigning
 
-MAX_AUTOPILOTS = 1024
-"""Senders that are remembered as autopilots. Chosen: more than a fleet has components."""
 MAX_BEHIND = 64
 """Sources that are sent the time of signatures at once. Chosen: more than a fleet on its links."""
 
@@ -76,6 +74,7 @@ class Decoder:
         self.sequences = SequenceTracker()
         self._own = (own_sysid, own_compid)
         self._own_sysid_refusal = Refusal.OTHER_SERVICE if has_other_service else Refusal.OWN_SYSID_USED
+        # No bound but that of the ids, of 8 bits each: in a table that is full, forged senders would keep an autopilot out.
         self._autopilots: set[tuple[int, int]] = set()
         self._behind: dict[Hashable, None] = {}
         self._with_companion_ranges: set[int] = set()
@@ -139,7 +138,7 @@ class Decoder:
             if isinstance(message, Heartbeat):
                 if self._is_beside_autopilot(sender):
                     message = None
-                elif len(self._autopilots) < MAX_AUTOPILOTS:
+                else:
                     self._autopilots.add(sender)
             frames.append(Frame(raw.sysid, raw.compid, raw.sequence, raw.message_id, message))
 

@@ -39,6 +39,15 @@ def test_autopilot_with_a_component_id_of_its_own_is_believed_after_its_heartbea
     assert decoder.decode(pack(attitude, compid=50, sequence=2), NOW_S)[0].message is not None
 
 
+def test_a_flood_of_forged_heartbeats_keeps_no_autopilot_out():
+    decoder = Decoder()
+    for sysid in range(1, 250):
+        decoder.decode(b"".join(pack(heartbeat(), sysid=sysid, compid=compid) for compid in range(2, 10)), NOW_S)
+    attitude = mavlink.MAVLink_attitude_message(61_250, 0.5, -0.25, 3.0, 1, 1, 1)
+    (_, found) = decoder.decode(pack(heartbeat(), sysid=250, compid=50) + pack(attitude, sysid=250, compid=50, sequence=1), NOW_S)
+    assert isinstance(found.message, Attitude)
+
+
 @pytest.mark.parametrize("announced", [{"kind": 0, "autopilot": 0}, {"kind": 0}, {"kind": 2, "autopilot": 12}])
 def test_script_beside_an_autopilot_is_none_whatever_its_heartbeat_says(announced):
     """A companion's script often announces itself as generic, or as what it was copied from; the aid's way hangs on it."""
