@@ -221,6 +221,7 @@ COPY_WITHIN_S = 0.5
 that never increments its number sends the same heartbeat every second."""
 REMEMBERED_FRAMES = 128
 """Half of the 256 sequence numbers: an older one could be a new frame."""
+_WINDOW = (1 << REMEMBERED_FRAMES + 1) - 1
 
 
 Sender = tuple[Hashable, int, int]
@@ -233,12 +234,15 @@ class Reception:
 
     `received` is without duplicates; `lost` is by the gaps in the sequence numbers.
     A gap is known modulo 256 only, so a silence of more than 127 frames counts too few.
+    A sender that counts anew is followed from its second frame on.
     """
 
     received: int = 0
     lost: int = 0
     duplicates: int = 0
     _last: int | None = None
+    _missing: int = 0  # bit k: the number k before the last one was counted as lost
+    _stray: int | None = None  # the number of a frame that was neither the next nor a missing one
     _recent: dict[int, float] = field(default_factory=dict, repr=False)
 
     def add(self, sequence: int, checksum: int, received_at_s: float) -> bool:
@@ -260,11 +264,19 @@ class Reception:
             self._last = sequence
             return True
         step = (sequence - self._last) & 0xFF
+        behind = 256 - step
         if 0 < step < 128:
-            self.lost += step - 1
-            self._last = sequence
-        elif self.lost:
+            self._last, self._stray = sequence, None
+            if step > 1 or self._missing:
+                self.lost += step - 1
+                self._missing = (self._missing << step | (1 << step) - 2) & _WINDOW
+        elif self._missing >> behind & 1:
             self.lost -= 1  # a late one, counted as lost when it was overtaken
+            self._missing ^= 1 << behind
+        elif self._stray is not None and sequence == (self._stray + 1) & 0xFF:
+            self._last, self._stray, self._missing = sequence, None, 0
+        else:
+            self._stray = sequence
         return True
 
 

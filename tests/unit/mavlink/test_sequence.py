@@ -1,10 +1,12 @@
+import pytest
+
 from gcs_coloc.mavlink.decoder import MAX_SENDERS, REMEMBERED_FRAMES, SequenceTracker
 
 VEHICLE = ("address", 1, 1)
 
 
-def heard(tracker, sequences):
-    return [tracker.add(VEHICLE, sequence & 0xFF, checksum=sequence * 7919 & 0xFFFF, received_at_s=0.0) for sequence in sequences]
+def heard(tracker, sequences, at_s=0.0):
+    return [tracker.add(VEHICLE, number & 0xFF, checksum=number * 7919 & 0xFFFF, received_at_s=at_s) for number in sequences]
 
 
 def tally(tracker):
@@ -28,6 +30,30 @@ def test_late_frame_is_not_lost():
     tracker = SequenceTracker()
     assert all(heard(tracker, [1, 2, 4, 3, 5]))
     assert tally(tracker) == (5, 0, 0)
+
+
+def test_several_late_frames_in_a_row_are_not_lost():
+    tracker = SequenceTracker()
+    heard(tracker, [2, 1, 6, 3, 4, 5, 7])
+    assert tally(tracker) == (7, 0, 0)
+
+
+@pytest.mark.parametrize("anew", [range(30), range(240, 270)])
+def test_losses_are_not_forgotten_where_a_sender_counts_anew_or_was_silent_for_long(anew):
+    tracker = SequenceTracker()
+    heard(tracker, [*range(90), *range(92, 101)])
+    heard(tracker, anew, at_s=10.0)
+    assert tally(tracker) == (99 + 30, 2, 0)
+    heard(tracker, [anew[-1] + 4], at_s=10.0)
+    assert tally(tracker) == (99 + 31, 5, 0)
+
+
+def test_a_copy_that_comes_late_moves_nothing():
+    """A router may deliver a frame again after whatever time."""
+    tracker = SequenceTracker()
+    heard(tracker, range(10))
+    heard(tracker, [3, 10, 4, 11], at_s=10.0)
+    assert tally(tracker) == (14, 0, 0)
 
 
 def test_copy_is_refused_even_when_late():
