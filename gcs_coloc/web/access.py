@@ -49,6 +49,7 @@ class Guard:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
                 headers["date"] = formatdate(usegmt=True)
+                headers["connection"] = "close"  # what came after the answer would have no deadline: see `RequestDeadline`
                 for name, value in _HEADERS.items():
                     headers.setdefault(name, value)
             await send(message)

@@ -50,6 +50,7 @@ def test_foreign_names_and_foreign_pages_stay_outside(host, origin, expected):
     assert "unsafe" not in policy
     assert "default-src 'none'" in policy
     assert headers["x-content-type-options"] == "nosniff"
+    assert headers["connection"] == "close"
     assert parsedate_to_datetime(headers["date"]).tzinfo is UTC
 
 

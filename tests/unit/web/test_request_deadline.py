@@ -7,6 +7,7 @@ import contextlib
 
 import pytest
 import uvicorn
+from websockets.asyncio.client import connect
 
 from gcs_coloc.web import request_deadline
 from gcs_coloc.web.request_deadline import MAX_HALF_OPEN, RequestDeadline
@@ -15,6 +16,13 @@ PATIENCE_S = 60.0
 
 
 async def hello(scope, receive, send):
+    if scope["type"] == "websocket":
+        await receive()
+        await send({"type": "websocket.accept"})
+        await send({"type": "websocket.send", "text": (await receive())["text"]})
+        return
+    if scope["path"] == "/body" and (await receive())["more_body"]:
+        await receive()
     await send({"type": "http.response.start", "status": 200, "headers": [(b"content-length", b"5")]})
     await send({"type": "http.response.body", "body": b"hello"})
 
@@ -60,9 +68,13 @@ def test_half_open_requests_of_one_host_do_not_shut_the_page():
     asyncio.run(served(scenario))
 
 
-@pytest.mark.parametrize("sent", [b"", b"GET / HTTP/1.1\r\nHost: x\r\n"])
-def test_a_header_that_is_not_finished_in_time_ends_the_connection(monkeypatch, sent):
-    monkeypatch.setattr(request_deadline, "HEADER_WITHIN_S", 0.05)
+HEADER = b"GET / HTTP/1.1\r\nHost: x\r\n"
+UNFINISHED_BODY = b"POST /body HTTP/1.1\r\nHost: x\r\nContent-Length: 4\r\n\r\n12"
+
+
+@pytest.mark.parametrize("sent", [b"", HEADER, UNFINISHED_BODY])
+def test_a_request_that_is_not_finished_in_time_ends_the_connection(monkeypatch, sent):
+    monkeypatch.setattr(request_deadline, "ANSWERED_WITHIN_S", 0.05)
 
     async def scenario(port):
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
@@ -70,6 +82,34 @@ def test_a_header_that_is_not_finished_in_time_ends_the_connection(monkeypatch, 
         assert await ended(reader)
         writer.close()
         assert (await answer(port)).endswith(b"hello")
+
+    asyncio.run(served(scenario))
+
+
+def test_a_second_request_that_is_not_finished_in_time_ends_the_connection(monkeypatch):
+    """Where an answer leaves the connection open, as uvicorn's own may."""
+    monkeypatch.setattr(request_deadline, "ANSWERED_WITHIN_S", 0.5)
+
+    async def scenario(port):
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(HEADER + b"\r\n")
+        await reader.readuntil(b"hello")
+        writer.write(HEADER)
+        assert await ended(reader)
+        writer.close()
+
+    asyncio.run(served(scenario))
+
+
+def test_a_web_socket_has_no_deadline(monkeypatch):
+    monkeypatch.setattr(request_deadline, "ANSWERED_WITHIN_S", 0.5)
+
+    async def scenario(port):
+        async with connect(f"ws://127.0.0.1:{port}/") as socket:
+            assert not RequestDeadline._half_open
+            await asyncio.sleep(0.7)
+            await socket.send("still there?")
+            assert await socket.recv() == "still there?"
 
     asyncio.run(served(scenario))
 
