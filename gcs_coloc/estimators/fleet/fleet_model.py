@@ -139,6 +139,7 @@ class FleetModel:
             record.range_measurements = ()
             record.search = record.unshown = None
             record.neighbours = {}
+            record.forget_tests()
             # Its new reports initialise its states when a range needs them; the old ones are not to be trusted.
             self.clusters.remove(vehicle)
             record.own_measurements = record.air_calibrations = ()

@@ -109,6 +109,7 @@ def initialise_from_ranges(clusters: ClusterSet, records: Records, vehicle: int,
     record.attitude = None
     record.updated_at_s = record.told_at_s = at_s
     record.range_measurements = ()
+    record.forget_tests()
     record.began_on_either_side = float(solution[1][2, 2]) > problem.straight_m2()
     clusters.initialise(vehicle, *block_from_estimate(*solution, s), at_s)
     return True

@@ -102,10 +102,10 @@ def search_with_range(
     if place is None:
         return Outcome.SEARCHING
     clusters.initialise(vehicle, *place, at_s)
-    record.search, record.cusum, record.unresolved_outlier, record.attitude = None, 0.0, None, None
+    record.search = record.attitude = None
+    record.forget_tests()
     record.manoeuvre = ManoeuvreDetector()
-    record.range_noise_inflation_m2, record.updated_at_s = 0.0, at_s
-    record.gaps_added_until_s = at_s
+    record.updated_at_s = record.gaps_added_until_s = at_s
     if tell_of_all_directions(record):
         record.told_at_s = at_s
     return Outcome.INITIALISED

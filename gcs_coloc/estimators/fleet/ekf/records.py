@@ -192,6 +192,11 @@ class VehicleRecord:
         other.last_range_s = dict(self.last_range_s)
         return other
 
+    def forget_tests(self) -> None:
+        """Forget what tests of ranges have shown of the states so far: others begin."""
+        self.cusum = self.range_noise_inflation_m2 = 0.0
+        self.unresolved_outlier = self.reflection_evidence = self.bias_window = None
+
     def add_own(self, measurement: OwnMeasurement) -> None:
         """Keep a measurement of this vehicle's own, from which its state can be initialised."""
         kept = self.own_measurements

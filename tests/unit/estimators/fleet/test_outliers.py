@@ -141,3 +141,29 @@ def test_two_outliers_in_a_row_are_contradicted_by_ranges_used_a_moment_before()
         bounds_m.append(horizontal_bound_95_m(where.covariance))
     # Where neither of the two was contradicted, the bound was 29 m for a moment.
     assert max(bounds_m[30:]) < 5.0
+
+
+def lost_again(*, was_wrong: bool) -> Estimate:
+    """Return the estimate after one range too long at its second loss; `was_wrong`: at the first all were."""
+    estimator, here_m = FleetFilter(), denied_at(0.0)
+    for vehicle, place_m in ANCHORS_M.items():
+        estimator.add(PositionMeasurement(vehicle, 0.0, 0.0, place_m, 0.3, 0.3, static=True))
+    for begun_s, too_long_m in ((0.0, 60.0 if was_wrong else 0.0), (40.0, 60.0)):
+        estimator.set_denied(set(), begun_s)
+        for k in range(10):
+            t = begun_s + 0.2 * k
+            estimator.add(PositionMeasurement(DENIED, t, t, tuple(here_m.tolist()), 0.5, 0.5, (0.0, 0.0, 0.0), 0.2))
+        estimator.set_denied({DENIED}, begun_s + 2.0)
+        for k in range(7 if begun_s == 0.0 else 1):
+            t, peer = begun_s + 2.1 + 0.02 * k, 1 + k % 4
+            estimator.add(RangeMeasurement(DENIED, peer, t, t, math.dist(here_m, ANCHORS_M[peer]) + too_long_m, 1.0))
+    where = estimator.estimate(DENIED, 42.2)
+    assert isinstance(where, Estimate)
+    return where
+
+
+def test_ranges_refused_at_one_loss_of_gps_are_no_evidence_at_the_next():
+    """Nearly all of the evidence stayed: one outlier at the next loss, minutes later, and the covariance was inflated."""
+    before, anew = lost_again(was_wrong=True), lost_again(was_wrong=False)
+    assert horizontal_bound_95_m(anew.covariance) < 10.0
+    assert horizontal_bound_95_m(before.covariance) == pytest.approx(horizontal_bound_95_m(anew.covariance), rel=0.1)
