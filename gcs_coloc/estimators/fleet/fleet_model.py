@@ -211,12 +211,15 @@ class FleetModel:
             denied.append((*ends[::-1], second))
         if not denied:
             return UpdateResult(Outcome.KEPT_NOT_DENIED)
-        for denied_vehicle, other, record in denied:
+        for _, other, record in denied:
             record.add_range(m)
             presume_bias(record, m.sigma_m * math.sqrt(m.samples), self.settings)
             record.last_range_s[other] = m.measured_at_s
-            if not is_selected(self.clusters, self.records, denied_vehicle, other, m.measured_at_s, self.settings):
-                return UpdateResult(Outcome.KEPT_NOT_SELECTED)
+        at_s = m.measured_at_s
+        # Both ends select, whichever of them measured the range.
+        selected = [is_selected(self.clusters, self.records, end, other, at_s, self.settings) for end, other, _ in denied]
+        if not all(selected):
+            return UpdateResult(Outcome.KEPT_NOT_SELECTED)
         searching = [is_searching(self.clusters, self.records, vehicle, other, m, self.settings) for vehicle, other, _ in denied]
         if any(searching):
             outcomes = [

@@ -3,8 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, PositionMeasurement, RangeMeasurement
+from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome
+from gcs_coloc.estimators.fleet.fleet_model import FleetModel
 from gcs_coloc.estimators.fleet.peer_selection import select_peers
+from gcs_coloc.estimators.fleet.settings import FleetSettings
 from gcs_coloc.estimators.qu_zhang.dop import horizontal_dilution
 
 NONE: frozenset[int] = frozenset()
@@ -45,3 +48,24 @@ def test_a_denied_vehicle_that_tells_its_height_spends_its_choice_on_the_horizon
     without, with_height = (select_peers(HERE, placed, NONE, NONE, 3, height_known=known) for known in (False, True))
     assert without & {90, 91, 92}
     assert hdop(with_height, placed) < 0.9 * hdop(without, placed)
+
+
+@pytest.mark.parametrize("ends", [(1, 2), (2, 1)])
+def test_a_range_that_one_end_does_not_select_is_known_to_both_whichever_of_them_measured_it(ends):
+    """The end that came second never learned of it where the first one had better peers."""
+    model = FleetModel(FleetSettings(peers_per_denied_vehicle=3))
+    places = dict(fleet(1)) | {1: HERE, 2: np.array([0.0, 0.0, 400.0])}
+    for vehicle, place in places.items():
+        model.apply(PositionMeasurement(vehicle, 0.0, 0.0, tuple(place.tolist()), 0.5, 0.5, (0.0, 0.0, 0.0), 0.3))
+    model.set_denied(frozenset({1, 2}), 0.1)
+    for peer in range(3, 30):
+        model.apply(RangeMeasurement(1, peer, 0.2, 0.2, float(np.linalg.norm(places[peer] - HERE)), 1.0))
+    for t in (2.4, 2.6):
+        model.apply(AltitudeMeasurement(1, t, t, 100.0, 0.5))
+        assert model.apply(RangeMeasurement(*ends, t, t, 300.0, 0.5)).outcome is Outcome.KEPT_NOT_SELECTED
+    first, second = model.records[1], model.records[2]
+    assert 2 not in first.selected_peers
+    assert first.last_range_s[2] == second.last_range_s[1] == 2.6
+    assert second.selected_peers == {1}
+    assert len(second.range_measurements) == 2
+    assert second.presumed_bias is not None
