@@ -69,6 +69,7 @@ class PeerGeometry:
                 break
             if isinstance(m, AltitudeMeasurement):
                 self._altitude_sigma_m = m.sigma_m
+                break
 
     def least_range_sigmas_m(self) -> Iterator[float]:
         """Yield lower bounds of the largest range sigma, m, the cheapest one first.
