@@ -107,7 +107,8 @@ def initialise_from_ranges(clusters: ClusterSet, records: Records, vehicle: int,
     record.baro_error_sigma_m = record.report_error_sigma_h_m = record.report_error_sigma_v_m = 0.0
     record.time_stamp_offset_sigma_s = s.time_stamp_offset_sigma_s
     record.attitude = None
-    record.updated_at_s = record.told_at_s = at_s
+    # Its covariance holds all that the vehicle may have done until now, whatever the number of its neighbours.
+    record.updated_at_s = record.told_at_s = record.gaps_added_until_s = at_s
     record.range_measurements = ()
     record.forget_tests()
     record.began_on_either_side = float(solution[1][2, 2]) > problem.straight_m2()

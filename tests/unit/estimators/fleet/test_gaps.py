@@ -299,3 +299,18 @@ def test_a_vehicle_with_gps_that_turns_as_it_falls_silent_is_within_its_bound(si
     true_m = (22.0 * t + radius_m * math.sin(angle_rad), radius_m * (1.0 - math.cos(angle_rad)))
     error_m = math.dist(where.position_enu_m[:2], true_m)
     assert 0.9 * 0.5 * 9.8 * silent_s**2 < error_m < horizontal_bound_95_m(where.covariance)
+
+
+def test_a_vehicle_that_started_from_ranges_alone_vouches_for_another_at_once():
+    """Its ranges counted as of one that nothing is known of, until others told of both directions."""
+    model, here = FleetModel(FleetSettings()), (0.0, 6.0)
+    model.set_denied(frozenset({DENIED}), 0.0)
+    for number, place in BEACONS.items():
+        model.apply(PositionMeasurement(number, 0.0, 0.0, (*place, 0.0), 0.01, 0.01, static=True))
+    for k in range(1, 100):
+        t, beacon = 0.1 * k, 1 + k % 4
+        m = RangeMeasurement(DENIED, beacon, t, t, math.dist(here, BEACONS[beacon]), 0.3)
+        if model.apply(m).outcome is Outcome.INITIALISED:
+            break
+    record = model.records[DENIED]
+    assert record.gaps_added_until_s == record.told_at_s == record.updated_at_s == t < 9.0
