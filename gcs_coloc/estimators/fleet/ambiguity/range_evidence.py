@@ -166,8 +166,11 @@ def update_reflection_evidence(
 
     `other` is the vehicle at the other end of that range. None means that there is no evidence.
     """
-    if not result.used and _fits_reflection(cluster, denied_vehicle, other, result, m):
-        return ReflectionEvidence(other, 1 if before is None else before.ranges + 1)
+    if not result.used:
+        peers = _other_peers(cluster, denied_vehicle, other, m.measured_at_s)
+        if _fits_reflection(cluster, denied_vehicle, other, peers, result, m):
+            # Those that fit on the other side of other peers are evidence for another state.
+            return ReflectionEvidence(other, peers, before.ranges + 1 if before is not None and before.peers == peers else 1)
     return None if before is not None and before.neighbour == other else before
 
 
@@ -180,20 +183,21 @@ def plane_of_refused_ranges(
     """
     if evidence is None or evidence.ranges < _ENOUGH_RANGES:
         return None
-    return _plane_without(cluster, denied_vehicle, evidence.neighbour, at_s)
+    if _other_peers(cluster, denied_vehicle, evidence.neighbour, at_s) != evidence.peers:
+        return None
+    return vertical_plane_through(cluster, denied_vehicle, sorted(evidence.peers), at_s)
 
 
-def _plane_without(cluster: Cluster, denied_vehicle: int, neighbour: int, at_s: float) -> ReflectionPlane | None:
-    """Return the vertical plane through the two peers in use other than one neighbour.
-
-    None means that they are not two, or define no plane.
-    """
-    peers = [peer for peer in cluster.peers_in_use(denied_vehicle, at_s) if peer != neighbour]
-    return vertical_plane_through(cluster, denied_vehicle, peers, at_s) if len(peers) == 2 else None
+def _other_peers(cluster: Cluster, denied_vehicle: int, neighbour: int, at_s: float) -> frozenset[int]:
+    """Return the peers in use other than one neighbour."""
+    return frozenset(cluster.peers_in_use(denied_vehicle, at_s)) - {neighbour}
 
 
-def _fits_reflection(cluster: Cluster, denied_vehicle: int, other: int, result: UpdateResult, m: RangeMeasurement) -> bool:
-    plane = _plane_without(cluster, denied_vehicle, other, m.measured_at_s)
+def _fits_reflection(
+    cluster: Cluster, denied_vehicle: int, other: int, peers: frozenset[int], result: UpdateResult, m: RangeMeasurement
+) -> bool:
+    """Return whether a range with `other` fits on the other side of the vertical plane through two `peers`."""
+    plane = vertical_plane_through(cluster, denied_vehicle, sorted(peers), m.measured_at_s) if len(peers) == 2 else None
     if plane is None:
         return False
     position, n = np.array(cluster.position(denied_vehicle)), plane.normal

@@ -57,10 +57,12 @@ class UnresolvedOutlier(NamedTuple):
 class ReflectionEvidence(NamedTuple):
     """Refused ranges in a row that fit the reflected position of a denied vehicle.
 
-    `ranges` is their number. `neighbour` is the other end of the last one.
+    `ranges` is their number. `neighbour` is the other end of the last one. `peers` are the two in use beside it, in whose plane
+    the vehicle is reflected.
     """
 
     neighbour: int
+    peers: frozenset[int]
     ranges: int
 
 

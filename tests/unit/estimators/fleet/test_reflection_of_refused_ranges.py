@@ -7,7 +7,11 @@ import pytest
 
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, PositionMeasurement, RangeMeasurement
+from gcs_coloc.estimators.fleet.ambiguity.range_evidence import plane_of_refused_ranges, update_reflection_evidence
+from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome, UpdateResult
 from gcs_coloc.estimators.fleet.filter import FleetFilter
+from gcs_coloc.estimators.fleet.fleet_model import FleetModel
+from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 DENIED, SPEED_MPS, HEIGHT_M = 9, 12.0, 100.0
 LINE_M = {1: (-600.0, 0.0), 2: (650.0, 0.0)}
@@ -56,3 +60,27 @@ def test_a_peer_whose_ranges_are_all_too_long_sends_nobody_to_the_other_side():
     stated = fly(LINE_M | {3: ASIDE_M[3]}, 1.0, 1, late_from=3)
     assert len(stated) > 70
     assert max(error_m for _, error_m, _ in stated) < 10.0
+
+
+PLACES_M = {1: (-600.0, 0.0), 2: (650.0, 0.0), 3: (100.0, 700.0)}
+
+
+@pytest.mark.parametrize(("refused", "opens"), [((3, 3), True), ((2, 3), False), ((2, 3, 3), True)])
+def test_refused_ranges_count_together_only_on_the_other_side_of_the_same_peers(refused, opens):
+    """Each fits at the mirror image beside the two other peers; the last one alone opened a hypothesis."""
+    model, here = FleetModel(FleetSettings()), np.array([0.0, 180.0])
+    for v, place_m in PLACES_M.items():
+        model.apply(PositionMeasurement(v, 0.0, 0.0, (*place_m, 0.0), 0.3, 0.3, static=True))
+    model.apply(PositionMeasurement(DENIED, 0.0, 0.0, (*here.tolist(), 0.0), 0.5, 0.5, (0.0, 0.0, 0.0), 0.3))
+    model.set_denied(frozenset({DENIED}), 0.05)
+    for v, place_m in PLACES_M.items():
+        assert model.apply(RangeMeasurement(DENIED, v, 0.1, 0.1, math.dist(here, place_m), 1.0)).used
+    cluster, evidence = model.clusters[DENIED], None
+    for v in refused:
+        first, second = (np.array(place_m) for other, place_m in PLACES_M.items() if other != v)
+        along = (second - first) / np.linalg.norm(second - first)
+        mirrored = 2.0 * (first + along * float(along @ (here - first))) - here
+        m = RangeMeasurement(DENIED, v, 0.2, 0.2, math.dist(mirrored, PLACES_M[v]), 1.0)
+        result = UpdateResult(Outcome.REFUSED_RANGE_GATE, 200.0, 2.0, 1e4, 1)
+        evidence = update_reflection_evidence(evidence, cluster, DENIED, v, result, m)
+    assert (plane_of_refused_ranges(evidence, cluster, DENIED, 0.2) is not None) is opens
