@@ -25,7 +25,6 @@ from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     Estimate,
     FloatArray,
-    Measurement,
     NoEstimate,
     PositionMeasurement,
     RangeMeasurement,
@@ -36,7 +35,9 @@ from gcs_coloc.core.measurements import (
 from gcs_coloc.core.readiness.vehicle_readiness import limiting_reason, unit_vectors
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NoiseSplit
 from gcs_coloc.estimators.fleet.ekf.measurement_models import REPORT_VELOCITY_TIME_S
+from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import pair_key
+from gcs_coloc.estimators.fleet.fleet_model import FleetModel
 from gcs_coloc.estimators.fleet.hypotheses import FleetHypotheses
 from gcs_coloc.estimators.fleet.peer_selection import select_peers
 from gcs_coloc.estimators.fleet.settings import FleetSettings
@@ -129,14 +130,13 @@ class _Recursion:
         used = {v: self._choose(v, units, here, k) for v, units in ranged.items()}
         for sysid in here:
             for attitude in self._attitudes[sysid][k] if sysid in self._attitudes else ():
-                self._feed(attitude)
+                self._filter.apply(attitude)
         heard = set(self._denied).union(*used.values())
         for sysid in here:
             if sysid not in self._lost and sysid in heard:
                 self._feed_report(sysid, here[sysid], velocities[sysid], at_s)
         for sysid in sorted(self._lost):
-            self._forget_bias_window(sysid)
-            self._feed(AltitudeMeasurement(sysid, at_s, at_s, here[sysid][2], self._a.height_sigma_m))
+            self._feed_height(sysid, here[sysid][2], at_s)
             for node in used[sysid]:
                 if node not in self._lost or node > sysid:
                     self._feed_range(sysid, node, here, at_s)
@@ -153,10 +153,12 @@ class _Recursion:
 
     def _introduce(self) -> None:
         for vehicle in self._plan.vehicles:
-            self._feed(VehicleClassReport(vehicle.sysid, self._begin_s, self._begin_s, vehicle.vehicle_class))
+            self._filter.apply(VehicleClassReport(vehicle.sysid, self._begin_s, self._begin_s, vehicle.vehicle_class))
         for station in self._stations.values():
             place, sigma_m = station.position_enu_m, station.sigma_m
-            self._feed(PositionMeasurement(station.node, self._begin_s, self._begin_s, place, sigma_m, sigma_m, static=True))
+            self._filter.apply(
+                PositionMeasurement(station.node, self._begin_s, self._begin_s, place, sigma_m, sigma_m, static=True)
+            )
 
     def _update_denied(self, at_s: float, here: Mapping[int, Vector3]) -> None:
         lost = frozenset(v for v in self._denied if v in here and at_s >= self._plan.paths[v].begin_s + WITH_GPS_S)
@@ -189,35 +191,37 @@ class _Recursion:
 
     def _feed_report(self, sysid: int, place: Vector3, velocity: Vector3, at_s: float) -> None:
         sigma_m = self._report_sigma_m
-        record = self._filter.main.records.writable(sysid)
-        record.in_one_step = sysid not in self._denied
-        record.report_noise = _known_split((sigma_m, VERTICAL_RATIO * sigma_m), self._report_white)
-        record.gust_noise.log_level = record.manoeuvre_noise.log_level = 0.0
         vertical_m = VERTICAL_RATIO * sigma_m
-        self._feed(PositionMeasurement(sysid, at_s, at_s, place, sigma_m, vertical_m, velocity, self._velocity_sigma_mps))
+        for record in self._known_records(sysid):
+            record.in_one_step = sysid not in self._denied
+            record.report_noise = _known_split((sigma_m, vertical_m), self._report_white)
+        self._filter.apply(PositionMeasurement(sysid, at_s, at_s, place, sigma_m, vertical_m, velocity, self._velocity_sigma_mps))
 
     def _feed_range(self, sysid: int, node: int, here: Mapping[int, Vector3], at_s: float) -> None:
         there = self._stations[node].position_enu_m if node in self._stations else here[node]
-        for model in (self._filter.main, *(each.model for each in self._filter.hypotheses.values())):
+        for model in self._models():
             model.pairs[pair_key(sysid, node, 0)] = _known_split((self._range_sigma_m,), 1.0)
         range_m, samples = math.dist(here[sysid], there), self._ranges_a_step
-        self._feed(RangeMeasurement(sysid, node, at_s, at_s, range_m, self._range_sigma_m, samples=samples))
+        self._filter.apply(RangeMeasurement(sysid, node, at_s, at_s, range_m, self._range_sigma_m, samples=samples))
 
-    def _forget_bias_window(self, sysid: int) -> None:
-        """Keep the filter from looking for lasting errors of ranges.
+    def _feed_height(self, sysid: int, up_m: float, at_s: float) -> None:
+        sigma_m = self._a.height_sigma_m
+        for record in self._known_records(sysid):
+            record.altitude_noise = _known_split((sigma_m,), 0.0)
+            # Without noise there are no lasting errors of ranges but those of the filter's own model.
+            record.bias_window = None
+        self._filter.apply(AltitudeMeasurement(sysid, at_s, at_s, up_m, sigma_m))
 
-        Without noise there are none but those of its own model.
-        """
-        for model in (self._filter.main, *(each.model for each in self._filter.hypotheses.values())):
-            if sysid in model.records:
-                model.records.writable(sysid).bias_window = None
+    def _models(self) -> list[FleetModel]:
+        return [self._filter.main, *(each.model for each in self._filter.hypotheses.values())]
 
-    def _feed(self, measurement: Measurement) -> None:
-        if isinstance(measurement, AltitudeMeasurement):
-            record = self._filter.main.records.writable(measurement.vehicle)
-            record.altitude_noise = _known_split((measurement.sigma_m,), 0.0)
+    def _known_records(self, sysid: int) -> list[VehicleRecord]:
+        """Return the records of a vehicle in all models, for changing; its gusts and manoeuvres are as the settings have them."""
+        self._filter.main.records.writable(sysid)
+        records = [model.records.writable(sysid) for model in self._models() if sysid in model.records]
+        for record in records:
             record.gust_noise.log_level = record.manoeuvre_noise.log_level = 0.0
-        self._filter.apply(measurement)
+        return records
 
     def _update_levels(
         self,

@@ -11,6 +11,7 @@ import pytest
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import VehicleClass
 from gcs_coloc.estimators.qu_zhang.dop import horizontal_dilution
+from gcs_coloc.planning import prediction
 from gcs_coloc.planning.fleet_plan import FleetPlan, PlanAssumptions, PlannedStation, PlannedVehicle
 from gcs_coloc.planning.flight_path import Leg
 from gcs_coloc.planning.load import load_plan
@@ -188,3 +189,26 @@ def test_slow_ranges_count_no_more_than_they_tell():
     usual, slow = (replace(copters, assumptions=PlanAssumptions(range_rate_hz=hz)) for hz in (0.5, 0.25))
     ratios = predict(slow, (1,), 0.5)[0].bound_95_m / predict(usual, (1,), 0.5)[0].bound_95_m
     assert np.median(ratios[50:]) > 1.02
+
+
+def test_the_noise_counts_as_known_on_both_sides_of_a_line_of_peers(monkeypatch: pytest.MonkeyPatch):
+    """In the hypotheses it was learned: after a minute without any noise their manoeuvres counted for a thirtieth."""
+    ratios = []
+
+    class Watched(prediction.FleetHypotheses):
+        def apply(self, m):
+            result = super().apply(m)
+            main = self.main.records
+            for each in self.hypotheses.values():
+                for sysid, record in each.model.records.items():
+                    ratios.append(record.manoeuvre_noise.level / main[sysid].manoeuvre_noise.level)
+            return result
+
+    monkeypatch.setattr(prediction, "FleetHypotheses", Watched)
+    kind = VehicleClass.MULTIROTOR
+    legs = tuple(Leg((100.0 + 120.0 * k, 60.0 - 40.0 * (k % 2), 100.0), 8.0) for k in range(8))
+    beside = PlannedVehicle(1, "v1", (0.0, 60.0, 100.0), legs, 0.0, kind)
+    peers = (straight(2, (-200, 0), (800, 0), 8.0, kind), straight(3, (400, 0), (1400, 0), 8.0, kind))
+    predict(FleetPlan(FRAME, (beside, *peers)), (1,))
+    assert len(ratios) > 1000
+    assert min(ratios) > 0.9
