@@ -141,7 +141,8 @@ class _LossPrediction:
         most = self._settings.peers_per_denied_vehicle
         if len(placed) > most:
             here = np.array(self.cluster.position(self._vehicle))
-            chosen = select_peers(here, list(placed.items()), frozenset(), frozenset(), most, height_known=True)
+            height_known = self._height_sigma_m < math.inf
+            chosen = select_peers(here, list(placed.items()), frozenset(), frozenset(), most, height_known=height_known)
             placed = {node: place for node, place in placed.items() if node in chosen}
         points = {node: peer_point(model, node, self._at_s, self._turns_radps.get(node, 0.0)) for node in placed}
         self._points = {node: point for node, point in points.items() if point is not None}

@@ -24,6 +24,7 @@ from gcs_coloc.core.measurements import (
 from gcs_coloc.estimators.fleet import loss_prediction
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.estimators.fleet.loss_prediction import step_lengths_s
+from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 LOST_S, HORIZON_S, HEIGHT_SIGMA_M = 10.0, 30.0, 2.0
 GEOMETRIES = {
@@ -38,8 +39,8 @@ GEOMETRIES = {
 class Flight:
     """Vehicle 1 and its peers fly north side by side at 20 m/s; noise as it is stated."""
 
-    def __init__(self, geometry: str, *, air_data: bool, rate_hz: float, seed: int = 1) -> None:
-        self.filter = FleetFilter()
+    def __init__(self, geometry: str, *, air_data: bool, rate_hz: float, seed: int = 1, most_peers: int = 8) -> None:
+        self.filter = FleetFilter(FleetSettings(peers_per_denied_vehicle=most_peers))
         self.ranges: list[RangeMeasurement] = []
         self._places = {1: (0.0, 0.0), **{2 + k: place for k, place in enumerate(GEOMETRIES[geometry])}}
         self._air_data, self._every = air_data, round(10.0 / rate_hz)
@@ -220,3 +221,13 @@ def test_the_height_is_known_while_heights_go_on_and_no_longer_without_them() ->
     assert isinstance(without, Estimate)
     assert with_heights.covariance[2, 2] == pytest.approx(reached.covariance[2, 2], rel=0.3)
     assert without.covariance[2, 2] > 10.0 * with_heights.covariance[2, 2]
+
+
+def test_without_a_height_a_peer_overhead_is_selected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The filter selects it where it has no height; the prediction did without and left the height open."""
+    monkeypatch.setitem(GEOMETRIES, "ten and one overhead", (*GEOMETRIES["ten"], (20.0, 10.0)))
+    flight = Flight("ten and one overhead", air_data=True, rate_hz=5.0, most_peers=3)
+    flight.fly(0.0, LOST_S, denied=False)
+    answer = predict(flight, flight.ranges, height_sigma_m=inf)[-1]
+    assert isinstance(answer, Estimate)
+    assert answer.covariance[2, 2] < 3.0**2
