@@ -249,12 +249,14 @@ class QuZhangFilter:
         denied_vehicle.reason = refused
         not_used = QuZhangOutcome.EPOCH_WITHOUT_FIX if fix is None else QuZhangOutcome.FIX_REFUSED
         self._counts[QuZhangOutcome.FIX_USED if refused is None else not_used] += 1
+        height_m2 = track.height_variance_m2(at_s)
         for one in circles:
             chosen = fix is not None and one.peer in fix.peers
             result = refused if chosen or fix is None else "not among the three of the fix"
             self._counts[QuZhangOutcome.RANGE_USED if result is None else QuZhangOutcome.RANGE_NOT_USED] += 1
             if predicted is not None:
-                self._residuals.append(range_residual(vehicle, one, predicted, epoch.ranges[one.peer].measured_at_s, result))
+                measured_at_s = epoch.ranges[one.peer].measured_at_s
+                self._residuals.append(range_residual(vehicle, one, predicted, height_m2, measured_at_s, result))
 
     def _apply_fix(
         self, vehicle: int, track: PeerTrack, denied_vehicle: DeniedVehicleFilter, fix: Fix, at_s: float

@@ -226,7 +226,7 @@ def fix_of(
         vehicle,
         circles,
         predicted,
-        float(own.vertical.predicted(at_s)[1][0, 0]) + own.sigma_v_m**2,
+        own.height_variance_m2(at_s),
         min_flatness=settings.min_flatness,
         nis_limit=threshold(settings.gate_probability, 1),
     )

@@ -101,6 +101,10 @@ class PeerTrack:
         """Return how old the newest position is at a time; that of a fixed anchor does not age."""
         return 0.0 if self.static else at_s - self.position_at_s
 
+    def height_variance_m2(self, at_s: float) -> float:
+        """Return the variance of its height at a time, m^2, with the part that lasts; infinite without a height."""
+        return math.inf if self.vertical is None else float(self.vertical.predicted(at_s)[1][0, 0]) + self.sigma_v_m**2
+
     def start(self, measurement: PositionMeasurement) -> None:
         """Initialise the filters from one position."""
         self.static = measurement.static

@@ -273,18 +273,24 @@ def make_circle(
 
 
 def range_residual(
-    vehicle: int, circle: Circle, predicted: tuple[FloatArray, FloatArray], measured_at_s: float, refused: str | None
+    vehicle: int,
+    circle: Circle,
+    predicted: tuple[FloatArray, FloatArray],
+    height_variance_m2: float,
+    measured_at_s: float,
+    refused: str | None,
 ) -> Residual:
     """Return the residual of one range against the vehicle's predicted state at the epoch.
 
-    `predicted` is the state (4,) and its covariance (4, 4).
+    `predicted` is the state (4,) and its covariance (4, 4), `height_variance_m2` that of the vehicle's own height.
     """
     state, covariance = predicted
     offset = np.array([*(state[[0, 2]] - circle.centre_m), circle.height_m])
     distance_m = float(np.linalg.norm(offset))
     unit = offset / max(distance_m, 1e-9)
     spread = covariance[np.ix_([0, 2], [0, 2])] + circle.centre_covariance + circle.lasting_covariance[:2, :2]
-    variance = float(unit[:2] @ spread @ unit[:2]) + unit[2] ** 2 * circle.height_variance_m2 + circle.range_sigma_m**2
+    up_m2 = circle.height_variance_m2 + height_variance_m2
+    variance = float(unit[:2] @ spread @ unit[:2]) + unit[2] ** 2 * up_m2 + circle.range_sigma_m**2
     innovation_m = circle.range_m - distance_m
     return Residual(
         from_vehicle=vehicle,

@@ -1,3 +1,4 @@
+import math
 from dataclasses import replace
 from itertools import combinations
 
@@ -5,7 +6,7 @@ import numpy as np
 import pytest
 
 from gcs_coloc.estimators.qu_zhang.fix import Fix, published_covariance, solve
-from gcs_coloc.estimators.qu_zhang.trilateration import Circle
+from gcs_coloc.estimators.qu_zhang.trilateration import Circle, range_residual
 
 MORE = {
     1: np.array([0.0, 0.0, 60.0]),
@@ -127,3 +128,14 @@ def test_the_published_covariance_takes_the_peers_filters_alone() -> None:
 
     assert louder.tolist() == one.tolist()
     assert wider == pytest.approx(4.0 * one)
+
+
+def test_a_height_one_sigma_off_is_no_more_in_the_residual_of_a_steep_range() -> None:
+    """Its NIS was 15: the variance of the peer's height alone was counted, so a sound range from above looked wrong."""
+    sigma_m, above_m, aside_m = 4.0, 400.0, np.array([30.0, 0.0])
+    slant_m = math.hypot(30.0, above_m)
+    steep = replace(circles(PEERS)[0], centre_m=OWN[:2] + aside_m, height_m=sigma_m - above_m, range_m=slant_m)
+    predicted = np.array([OWN[0], 0.0, OWN[1], 0.0]), np.eye(4)
+    residual = range_residual(9, steep, predicted, sigma_m**2, 0.0, None)
+    assert residual.innovation_m == pytest.approx(sigma_m, rel=0.01)
+    assert residual.nis == pytest.approx(sigma_m**2 / (sigma_m**2 + 1.0), rel=0.02)
