@@ -60,12 +60,10 @@ _LEVEL_EVERY_S = 10.0
 WITH_GPS_S = 5.0
 """The GPS fails so long after the vehicle's start: its filter begins from its own reports."""
 _CHOSEN_EVERY = 5
-"""Steps from one choice of peers to the next. Chosen: geometry changes little in 10 s."""
+"""Steps from one choice of peers to the next. Chosen: they are 10 s at most, in which geometry changes little."""
 _MEDIAN_VARIANCE_RATIO = 1.57  # pi / 2: variance of a Gaussian sample's median over that of its mean
 _KNOWN_WEIGHT = 1e6
 """Samples that a stream's noise counts as known by: no bound on it is left."""
-_COLOURED_LEAST = 0.1
-"""Least share of a sigma that no averaging removes: `least_coloured_share` of the filter."""
 
 
 def predict(plan: FleetPlan, denied: tuple[int, ...], step_s: float | None = None) -> list[Prediction]:
@@ -102,7 +100,9 @@ class _Recursion:
         # Of less than one in a step each tells as much less.
         self._ranges_a_step, reports_a_step = a.range_rate_hz * step_s, a.position_rate_hz * step_s
         self._range_sigma_m = a.range_sigma_m / sqrt(self._ranges_a_step)
-        self._report_sigma_m, self._report_white = _condensed(a.position_sigma_m, a.position_white_share, reports_a_step)
+        self._report_sigma_m, self._report_white = _condensed(
+            a.position_sigma_m, a.position_white_share, reports_a_step, settings.least_coloured_share
+        )
         self._velocity_sigma_mps = a.velocity_sigma_mps / sqrt(max(step_s / REPORT_VELOCITY_TIME_S, 1.0))
         self._stations = {station.node: station for station in plan.stations}
         self._policies: dict[int, FixPolicy] = {}
@@ -295,10 +295,13 @@ class _Recursion:
         )
 
 
-def _condensed(sigma_m: float, white_share: float, samples: float) -> tuple[float, float]:
-    """Return the sigma of the mean of some samples, and the white share of it (as a ratio of sigmas)."""
+def _condensed(sigma_m: float, white_share: float, samples: float, least_coloured: float) -> tuple[float, float]:
+    """Return the sigma of the mean of some samples, and the white share of it (as a ratio of sigmas).
+
+    `least_coloured` is the least share of a sigma that no averaging removes.
+    """
     white_m = sigma_m * white_share
-    coloured_m = sqrt(max(sigma_m * sigma_m - white_m * white_m, (_COLOURED_LEAST * sigma_m) ** 2))
+    coloured_m = sqrt(max(sigma_m * sigma_m - white_m * white_m, (least_coloured * sigma_m) ** 2))
     white_m /= sqrt(samples)
     whole_m = hypot(white_m, coloured_m)
     return whole_m, white_m / whole_m
