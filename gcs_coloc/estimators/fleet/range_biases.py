@@ -26,9 +26,9 @@ from gcs_coloc.core.measurements import FloatArray
 _WINDOW_S = 1.0
 """Chosen: within a second a vehicle's path is a parabola; ranges to several peers at 5 Hz are enough for it."""
 _CORRELATED_WINDOWS = 5.0
-"""Chosen: multipath of one window is in the next one too; twice the windows say no more than half of them."""
+"""Chosen: multipath of one window is in the next ones too; five of them say no more than one."""
 _MEMORY_S = 1200.0
-"""Chosen: a bias changes with temperature and the attitude of the antenna; a quarter of an hour is one flight."""
+"""Chosen: a bias changes with temperature and the attitude of the antenna; twenty minutes are one flight."""
 _TEST_EVERY = 4
 """Chosen: windows between two tests, each of which costs a fifth of a millisecond."""
 _LEAST_WINDOWS = 8  # chosen: two tests; of fewer windows a slow error looks like a lasting one
