@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gcs_coloc.core.measurements import FloatArray, Vector3, VehicleClass
+from gcs_coloc.estimators.fleet.ekf.process_model import GRAVITY_MPS2
 
-_GRAVITY_MPS2 = 9.80665  # Source: standard gravity, 3rd CGPM 1901
 _SIDEWAYS_MPS2: Mapping[VehicleClass, float] = {
-    VehicleClass.PLANE: _GRAVITY_MPS2 * math.tan(math.radians(30.0)),
+    VehicleClass.PLANE: GRAVITY_MPS2 * math.tan(math.radians(30.0)),
     VehicleClass.MULTIROTOR: 3.0,
     VehicleClass.GROUND: 1.5,
     VehicleClass.BOAT: 1.0,
@@ -30,7 +30,8 @@ _AHEAD_S = 2.0
 _LEAST_AHEAD_RADII = 1.2
 _SAME_PLACE_M = 0.5
 """Chosen: files round coordinates to centimetres; a leg shorter than this leads up or down alone."""
-_LONGEST_S = 24.0 * 3600.0  # chosen: a longer plan has a wrong speed
+LONGEST_S = 24.0 * 3600.0
+"""Longest flight. Chosen: a longer plan has a wrong speed."""
 _SHARPEST_RAD = math.radians(150.0)
 _MOST_EARLY_M = 90.0
 """A turn is begun no farther before its waypoint. Source: WP_RADIUS of ArduPlane."""
@@ -109,7 +110,7 @@ def fly_legs(
 ) -> FlightPath:
     """Fly some legs from a place, and return the flight; `end_s` cuts it."""
     pilot = _Pilot(begin_enu_m, legs, _SIDEWAYS_MPS2[vehicle_class], banks=vehicle_class is VehicleClass.PLANE)
-    most = round((min(end_s - start_s, _LONGEST_S) if end_s is not None else _LONGEST_S) / STEP_S)
+    most = round((min(end_s - start_s, LONGEST_S) if end_s is not None else LONGEST_S) / STEP_S)
     rows = pilot.fly(max(most, 1))
     return FlightPath(start_s, rows[:, :3], rows[:, 3:6], rows[:, 6])
 
@@ -224,7 +225,7 @@ class _Pilot:
 
     def _add(self, speed: float, rate: float, climb: float) -> None:
         ve, vn = speed * math.sin(self._heading), speed * math.cos(self._heading)
-        bank = math.atan(speed * rate / _GRAVITY_MPS2) if self._banks else 0.0
+        bank = math.atan(speed * rate / GRAVITY_MPS2) if self._banks else 0.0
         self._rows.append((self._e, self._n, self._u, ve, vn, climb, bank))
 
 

@@ -15,6 +15,7 @@ from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.measurements import VehicleClass
 from gcs_coloc.core.stations.stations import STATION_SIGMA_M
 from gcs_coloc.planning.fleet_plan import PlanAssumptions
+from gcs_coloc.planning.flight_path import LONGEST_S
 
 LatLonAlt = tuple[float, float, float]
 """Degrees, and metres above mean sea level."""
@@ -58,7 +59,6 @@ _RELATIVE_FRAMES = frozenset({3, 6}) | _TERRAIN_FRAMES
 _LANDS = frozenset({MissionCommand.LAND, MissionCommand.VTOL_LAND})
 _HOLDS_FOREVER_S = 600.0
 """Chosen: who loiters until told otherwise does so for ten minutes here."""
-_LONGEST_HOLD_S = 24.0 * 3600.0  # chosen: no longer flight is flown
 _MOST_SHOWN = 60  # characters of a wrong value; chosen: the line stays one
 _LOITER_RADIUS_M = 60.0
 """Source: WP_LOITER_RAD of ArduPlane."""
@@ -276,7 +276,7 @@ def _hold(item: MissionItem, command: MissionCommand, vehicle_class: VehicleClas
 
 
 def _within(hold_s: float) -> float:
-    return min(max(hold_s, 0.0), _LONGEST_HOLD_S)
+    return min(max(hold_s, 0.0), LONGEST_S)
 
 
 def number(where: str, name: str, value: object) -> float:

@@ -23,6 +23,7 @@ from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import VehicleClass
 from gcs_coloc.core.stations.node_id import MAX_STATION_ID, MAX_SYSTEM_ID, is_system_id
 from gcs_coloc.planning.fleet_plan import PlanAssumptions
+from gcs_coloc.planning.flight_path import LONGEST_S
 from gcs_coloc.planning.mission import (
     FAR_M,
     LatLonAlt,
@@ -47,7 +48,6 @@ _PLANE_VEHICLE_TYPES = frozenset({1, *range(19, 26)})
 """MAV_TYPE: fixed wing and VTOL."""
 _CLASSES_BY_TYPE = {10: VehicleClass.GROUND, 11: VehicleClass.BOAT, 12: VehicleClass.BOAT}
 _MOST_DIGITS = 30  # chosen: beyond any field of a plan; Python refuses to convert some thousand
-_LONGEST_S = 24.0 * 3600.0
 _MOST_LEGS = 100_000  # chosen: one for each second of a day
 _HIGHEST_M = 20_000.0  # chosen: nothing of ours flies higher
 _ENDS_OF_ROUTE = ("straight", "loop", "hold")
@@ -228,8 +228,8 @@ def _read_scenario(path: Path, text: str, classes: PerVehicle[VehicleClass], spe
     check_place(f"{path}: origin", lat, lon, base_m)
     frame = LocalFrame(lat, lon, base_m)
     duration_s = number(str(path), "duration_s", table.get("duration_s", 360.0))
-    if not 0.0 < duration_s <= _LONGEST_S:
-        raise DataError(f"{path}: duration_s is {duration_s:g}, expected seconds above 0, at most {_LONGEST_S:g}")
+    if not 0.0 < duration_s <= LONGEST_S:
+        raise DataError(f"{path}: duration_s is {duration_s:g}, expected seconds above 0, at most {LONGEST_S:g}")
     vehicles = table.get("vehicle")
     if not isinstance(vehicles, list) or not vehicles:
         raise DataError(f"{path}: vehicle: expected at least one [[vehicle]]")
@@ -286,9 +286,7 @@ def _scenario_vehicle(
             raise DataError(f"{path}: hold_radius_m is {radius_m:g}, expected metres above 0, at most {FAR_M:g}")
     else:
         places += _ways_after(where, places, end, speed * duration_s)
-    ends = [
-        frame.geodetic_from_enu(e, n, frame_height) for (e, n), frame_height in zip(places, [height_m] * len(places), strict=True)
-    ]
+    ends = [frame.geodetic_from_enu(e, n, height_m) for e, n in places]
     legs = [MissionLeg(place, speed) for place in ends[1:]]
     legs[-1] = MissionLeg(ends[-1], speed, hold_s, radius_m)
     return Mission(f"{path.name}: vehicle {sysid}", ends[0], tuple(legs), VehicleClass.PLANE, sysid, duration_s)
