@@ -14,7 +14,7 @@ from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.process_model import gap_covariance
 from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import POSITION, SIZE, TIME_STAMP_OFFSET, VELOCITY
-from gcs_coloc.estimators.fleet.ekf.unshown_motion import BOUND_95_SIGMAS, HORIZONTAL
+from gcs_coloc.estimators.fleet.ekf.unshown_motion import BOUND_95_SIGMAS, HORIZONTAL, add_motion
 from gcs_coloc.estimators.fleet.gaps import untold_motion
 from gcs_coloc.estimators.fleet.observed_biases import unknown_bias_covariance
 from gcs_coloc.estimators.fleet.search.position_search import PositionSearch
@@ -60,13 +60,9 @@ def estimate_of_cluster(cluster: Cluster, vehicle: int, at_s: float) -> Estimate
             far += unknown[:2, :2]
     gap_m2, gap_m2ps2, gap_both = gap_covariance(record, cluster.settings, at_s)
     added_m2 = gap_m2 + unresolved_outlier_variance_m2(record)
-    for axis in (0, 1):
-        covariance[axis, axis] += added_m2
-        covariance[axis + 3, axis + 3] += gap_m2ps2
-        covariance[axis, axis + 3] += gap_both
-        covariance[axis + 3, axis] += gap_both
-        if far is not None:
-            far[axis, axis] += added_m2
+    add_motion(covariance, (added_m2, gap_m2ps2, gap_both))
+    if far is not None:
+        far += added_m2 * np.eye(2)
     worst_m = horizontal_sigma_m(covariance)
     if not worst_m <= cluster.settings.limit_sigma_m:
         return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.TOO_UNCERTAIN, worst_m))

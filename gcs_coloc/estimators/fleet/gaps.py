@@ -21,7 +21,7 @@ from gcs_coloc.estimators.fleet.ekf.process_model import (
     shows_its_motion,
 )
 from gcs_coloc.estimators.fleet.ekf.records import Neighbour, VehicleRecord
-from gcs_coloc.estimators.fleet.ekf.unshown_motion import HORIZONTAL, Motion, UnshownMotion, unshown_motion
+from gcs_coloc.estimators.fleet.ekf.unshown_motion import HORIZONTAL, Motion, UnshownMotion, add_motion, unshown_motion
 from gcs_coloc.estimators.fleet.search.position_search import is_too_wide
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
@@ -49,14 +49,9 @@ def add_gap(cluster: Cluster, vehicle: int, at_s: float) -> None:
     if possible[0] == 0.0:
         _keep_partial_gap(cluster, record, at_s)
         return
-    shown = shown_m2, shown_m2ps2, shown_both = gap_covariance(record, s, at_s, shown_acceleration_mps2(record, s))
+    shown = gap_covariance(record, s, at_s, shown_acceleration_mps2(record, s))
     cluster.propagate(vehicle, at_s)
-    P = cluster.joint.covariance(vehicle)
-    for axis in (0, 1):
-        P[axis, axis] += shown_m2
-        P[axis + 3, axis + 3] += shown_m2ps2
-        P[axis, axis + 3] += shown_both
-        P[axis + 3, axis] += shown_both
+    add_motion(cluster.joint.covariance(vehicle), shown)
     record.unshown = unshown_motion(at_s, possible, shown)
     record.updated_at_s = record.gaps_added_until_s = at_s
 

@@ -18,6 +18,7 @@ from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.measurements import RangeMeasurement
 from gcs_coloc.estimators.fleet.ambiguity.reflection import (
     CLEARLY_ASIDE_SIGMAS,
+    COVERED_SIGMAS,
     ReflectionPlane,
     offset_sigmas,
     vertical_plane_through,
@@ -42,8 +43,6 @@ _INFLATION_KEPT = 0.8
 """Chosen: each used range takes a fifth of the noise inflation away: half is gone after three ranges that agree."""
 _LEAST_INFORMATION = 1e-6
 """Keeps the determinant of the direction matrix positive with one neighbour."""
-_COVERED_SIGMAS = 3.0
-"""Chosen: the state that an unresolved outlier speaks for is within three sigmas of the estimate."""
 _ENOUGH_RANGES = 2
 """Chosen: two refused ranges in a row that fit the reflected position open a hypothesis; one may be multipath."""
 _SMALLER_SHARE = 0.9
@@ -93,7 +92,7 @@ def unresolved_outlier_variance_m2(record: VehicleRecord) -> float:
     """
     if record.unresolved_outlier is None or record.cusum < 2.0 * _CUSUM_REFUSED:
         return 0.0
-    return record.refused_innovation_m2 / _COVERED_SIGMAS**2
+    return record.refused_innovation_m2 / COVERED_SIGMAS**2
 
 
 def _is_resolved(record: VehicleRecord, refused: UnresolvedOutlier, at_s: float, s: FleetSettings) -> bool:

@@ -30,8 +30,8 @@ _LEAST_SPREAD_SIGMAS = 3.0
 """Chosen: peers closer together than three range sigmas do not define a plane."""
 _SAME_PLACE_NIS = 1.0
 """Chosen: a reflected state within one sigma of the state is the same."""
-_COVERED_SIGMAS = 3.0
-"""Chosen: each state is within three sigmas of a mixture."""
+COVERED_SIGMAS = 3.0
+"""Chosen: each state is within three sigmas of a mixture, or of an estimate that includes it."""
 _LEVEL = 0.7
 """Chosen: a plane whose normal is within 45 degrees of the vertical is level."""
 _LEAST_SPREAD_M = 1.0
@@ -220,8 +220,8 @@ def mixture(
         within, spread = within + share * covariance, spread + share * square
     for square, each in zip(squares, means, strict=True):
         nis = float((each - mean) @ np.linalg.lstsq(spread, each - mean)[0])
-        if nis > _COVERED_SIGMAS**2:
-            spread += (1.0 / _COVERED_SIGMAS**2 - 1.0 / nis) * square
+        if nis > COVERED_SIGMAS**2:
+            spread += (1.0 / COVERED_SIGMAS**2 - 1.0 / nis) * square
     return mean, within + spread
 
 

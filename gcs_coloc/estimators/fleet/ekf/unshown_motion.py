@@ -23,6 +23,16 @@ Motion = tuple[float, float, float]
 """Of each horizontal axis: variance of the position, m^2, of the velocity, m^2/s^2, and their covariance, m^2/s."""
 
 
+def add_motion(covariance: FloatArray, motion: Motion) -> None:
+    """Add a motion to a covariance that begins with position and velocity."""
+    position_m2, velocity_m2ps2, both_m2ps = motion
+    for axis in (0, 1):
+        covariance[axis, axis] += position_m2
+        covariance[axis + 3, axis + 3] += velocity_m2ps2
+        covariance[axis, axis + 3] += both_m2ps
+        covariance[axis + 3, axis] += both_m2ps
+
+
 @dataclass(frozen=True, slots=True)
 class UnshownMotion:
     """Motion in a gap beyond that shown before, with the ranges since that may rule it out.
