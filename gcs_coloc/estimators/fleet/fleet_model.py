@@ -34,7 +34,7 @@ from gcs_coloc.estimators.fleet.ekf.update import (
     update_range,
 )
 from gcs_coloc.estimators.fleet.estimates import estimate_of_cluster, estimate_of_search
-from gcs_coloc.estimators.fleet.gaps import judge_unshown_motion
+from gcs_coloc.estimators.fleet.gaps import decide_unshown_motion
 from gcs_coloc.estimators.fleet.initialisation import (
     calibrate_air_data,
     initialise_from_ranges,
@@ -251,7 +251,7 @@ class FleetModel:
         if result.used and len(denied) == 1:
             observe_bias(cluster, *denied[0][:2], m, white_m, coloured_m)
         for denied_vehicle, other, _ in denied:
-            judge_unshown_motion(cluster, denied_vehicle, result, m)
+            decide_unshown_motion(cluster, denied_vehicle, result, m)
             monitor_range(cluster, denied_vehicle, other, result, m)
         return result
 

@@ -79,8 +79,8 @@ def untold_motion(record: VehicleRecord, s: FleetSettings, at_s: float) -> Float
     return untold.covariance(at_s)
 
 
-def judge_unshown_motion(cluster: Cluster, vehicle: int, result: UpdateResult, m: RangeMeasurement) -> None:
-    """Let a range rule out what a vehicle may have done in its last gap, or add that to its covariance."""
+def decide_unshown_motion(cluster: Cluster, vehicle: int, result: UpdateResult, m: RangeMeasurement) -> None:
+    """Decide by a range on what a vehicle may have done in its last gap: rule it out, or add it to the covariance."""
     record, at_s = cluster.records[vehicle], m.measured_at_s
     if record.unshown is None or result.degrees_of_freedom == 0:
         return

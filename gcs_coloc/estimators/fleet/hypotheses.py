@@ -154,7 +154,7 @@ class FleetHypotheses:
         self._saved[denied_vehicle] = save_estimate(self.main.clusters[denied_vehicle], denied_vehicle)
         for group in groups:
             if group in self.hypotheses:
-                self._judge(group, at_s)
+                self._decide(group, at_s)
         cluster = self.main.clusters[denied_vehicle]
         if not self._is_tested(frozenset({denied_vehicle}), groups):
             plane = self._reflection_plane(cluster, denied_vehicle, before, at_s)
@@ -165,9 +165,9 @@ class FleetHypotheses:
         if joint is not None and not self._is_tested(frozenset(joint), groups):
             self._branch(joint, at_s)
 
-    def _is_tested(self, group: frozenset[int], judged: list[frozenset[int]]) -> bool:
+    def _is_tested(self, group: frozenset[int], decided: list[frozenset[int]]) -> bool:
         """Whether a hypothesis for some denied vehicles is there, or has just been decided."""
-        return group in self.hypotheses or group in judged
+        return group in self.hypotheses or group in decided
 
     def _reflection_plane(
         self, cluster: Cluster, denied_vehicle: int, before: SavedEstimate | None, at_s: float
@@ -185,7 +185,7 @@ class FleetHypotheses:
             plane = find_reflected_start(cluster, denied_vehicle, at_s)
         return plane
 
-    def _judge(self, group: frozenset[int], at_s: float) -> None:
+    def _decide(self, group: frozenset[int], at_s: float) -> None:
         """Decide between the main model and a hypothesis, where that is possible.
 
         `group` holds the denied vehicles that are reflected in the hypothesis.

@@ -73,12 +73,12 @@ def check_ranges(data: RecordedData, *, trust_truth: bool) -> Iterator[DataFindi
     if clock is not None:
         yield clock
     elif bad is not None:
-        blame = _blame(suspect, pairs, data.names)
-        explained = choose(_explanations(bad, blame), bad.residual_m)
+        attributed = _attribute(suspect, pairs, data.names)
+        explained = choose(_explanations(bad, attributed), bad.residual_m)
         if explained is not None:
             yield explained
         elif bad.residual_m > _UNEXPLAINED_SIGMAS * bad.sigma_m:
-            yield finding(FindingKind.RANGE_RESIDUAL, bad.residual_m, blame.ranges, sigma_m=bad.sigma_m)
+            yield finding(FindingKind.RANGE_RESIDUAL, bad.residual_m, attributed.ranges, sigma_m=bad.sigma_m)
     else:
         yield from _mean_findings(pairs, data.names)
 
@@ -98,7 +98,7 @@ def _mean_findings(pairs: list[RangePair], names: Mapping[int, str]) -> Iterator
         return
     suspect, values = [pair for pair, _ in off], [mean_m for _, mean_m in off]
     expected_m = float(np.median([sigma_m for pair, (_, sigma_m) in zip(pairs, means, strict=True) if pair in suspect]))
-    mean_m, who = float(np.mean(values)), _blame(suspect, pairs, names).ranges
+    mean_m, who = float(np.mean(values)), _attribute(suspect, pairs, names).ranges
     span = f"{min(values):+.2f} to {max(values):+.2f} m by pair"
     yield finding(FindingKind.RANGE_MEAN, mean_m, who, span=span, sigma_m=expected_m)
 
@@ -179,10 +179,10 @@ def range_pairs(data: RecordedData, *, trust_truth: bool) -> Iterator[RangePair]
 
 
 @dataclass(frozen=True, slots=True)
-class _Blame:
-    """What the suspect ranges are called, and the one vehicle that they all share, if there is one.
+class _Attribution:
+    """To what a residual is attributed: the suspect ranges, and the one vehicle that they all share.
 
-    That vehicle has no range that is not suspect.
+    The ranges are in words. That vehicle, if there is one, has no range that is not suspect.
     """
 
     ranges: str
@@ -190,16 +190,16 @@ class _Blame:
     name: str = ""
 
 
-def _blame(suspect: list[RangePair], pairs: list[RangePair], names: Mapping[int, str]) -> _Blame:
+def _attribute(suspect: list[RangePair], pairs: list[RangePair], names: Mapping[int, str]) -> _Attribution:
     if len(suspect) == len(pairs):
-        return _Blame("the ranges")
+        return _Attribution("the ranges")
     sound = {vehicle for pair in pairs if pair not in suspect for vehicle in pair.ends}
     shared = {vehicle for pair in suspect for vehicle in pair.ends} - sound
     if len(shared) == 1 and all(shared & set(pair.ends) for pair in suspect):
         vehicle = shared.pop()
-        return _Blame(f"the ranges to and from {names[vehicle]}", vehicle, names[vehicle])
+        return _Attribution(f"the ranges to and from {names[vehicle]}", vehicle, names[vehicle])
     named = [f"{names[a]}-{names[b]}" for a, b in (pair.ends for pair in suspect[:_MOST_PAIRS_NAMED])]
-    return _Blame(f"the ranges {', '.join(named)}{', ...' if len(suspect) > _MOST_PAIRS_NAMED else ''}")
+    return _Attribution(f"the ranges {', '.join(named)}{', ...' if len(suspect) > _MOST_PAIRS_NAMED else ''}")
 
 
 class _RangeSet:
@@ -245,7 +245,7 @@ class _RangeSet:
         return float(np.median(rates)) if len(rates) else 0.0
 
 
-def _explanations(bad: _RangeSet, blame: _Blame) -> Iterator[Explanation]:
+def _explanations(bad: _RangeSet, attributed: _Attribution) -> Iterator[Explanation]:
     """Yield what may be wrong, simplest first: the unit, the axes, a clock, a bias, a factor of no unit."""
     factor, scaled_m = 0.0, float("inf")
     sound = bad.distances_m > 0.0
@@ -253,47 +253,50 @@ def _explanations(bad: _RangeSet, blame: _Blame) -> Iterator[Explanation]:
         scaled_m = median_residual_m(bad.range_m / factor - bad.distances_m)
         question = unit_question(factor, "the ranges in {}", "the positions in {}")
         if question:
-            yield Explanation(scaled_m, finding(FindingKind.RANGE_FACTOR, factor, blame.ranges, question=question))
-    for of, whose in _position_groups(bad, blame):
+            yield Explanation(scaled_m, finding(FindingKind.RANGE_FACTOR, factor, attributed.ranges, question=question))
+    for of, whose in _position_groups(bad, attributed):
         if whose.any():
             left_m = bad.swapped_residual_m(whose)
             swapped = finding(
                 FindingKind.POSITION_AXES,
                 None,
-                blame.ranges,
+                attributed.ranges,
                 axes="east and north are swapped",
                 of=of,
                 before_m=bad.residual_m,
                 after_m=left_m,
             )
             yield Explanation(left_m, swapped)
-    for of, shift in _clocks(bad, blame):
+    for of, shift in _clocks(bad, attributed):
         offset_s, left_m = find_time_offset_s(lambda by_s, shift=shift: bad.shifted_residuals_m(shift(by_s)))  # type: ignore[misc]
-        yield Explanation(left_m, _clock_finding(of, blame.ranges, offset_s, bad.residual_m, left_m))
+        yield Explanation(left_m, _clock_finding(of, attributed.ranges, offset_s, bad.residual_m, left_m))
     bias_m = float(np.nanmedian(bad.range_m - bad.distances_m))
     # A bias or factor of any size fits by chance more easily: it must explain all of the residual.
     if (left_m := median_residual_m(bad.range_m - bias_m - bad.distances_m)) <= _SUSPECT_SIGMAS * bad.sigma_m:
-        yield Explanation(left_m, finding(FindingKind.RANGE_BIAS, bias_m, blame.ranges))
+        yield Explanation(left_m, finding(FindingKind.RANGE_BIAS, bias_m, attributed.ranges))
     if scaled_m <= _SUSPECT_SIGMAS * bad.sigma_m:
-        yield Explanation(scaled_m, finding(FindingKind.RANGE_FACTOR, factor, blame.ranges, question=""))
+        yield Explanation(scaled_m, finding(FindingKind.RANGE_FACTOR, factor, attributed.ranges, question=""))
 
 
-def _position_groups(bad: _RangeSet, blame: _Blame) -> Iterator[tuple[str, Mask]]:
-    if blame.vehicle is not None:
-        yield f"positions of {blame.name}", bad.vehicles == blame.vehicle
+def _position_groups(bad: _RangeSet, attributed: _Attribution) -> Iterator[tuple[str, Mask]]:
+    if attributed.vehicle is not None:
+        yield f"positions of {attributed.name}", bad.vehicles == attributed.vehicle
         return
     yield "truth", bad.from_truth
     yield "reported positions", ~bad.from_truth & bad.moves
     yield "positions of the anchors", ~bad.moves
 
 
-def _clocks(bad: _RangeSet, blame: _Blame) -> Iterator[tuple[str, Callable[[float], PositionShift]]]:
+def _clocks(bad: _RangeSet, attributed: _Attribution) -> Iterator[tuple[str, Callable[[float], PositionShift]]]:
     """Yield the positions that may have a clock of their own, in words, and how they are shifted."""
     if not bad.moves.any():
         return
     yield "the positions", _shift_all
-    if blame.vehicle is not None:
-        yield f"the positions of {blame.name}", lambda by_s: lambda vehicle, _: by_s if vehicle == blame.vehicle else 0.0
+    if attributed.vehicle is not None:
+        yield (
+            f"the positions of {attributed.name}",
+            lambda by_s: lambda vehicle, _: by_s if vehicle == attributed.vehicle else 0.0,
+        )
     if bad.from_truth.any() and (~bad.from_truth & bad.moves).any():
         yield "the truth", lambda by_s: lambda _, is_truth: by_s if is_truth else 0.0
 

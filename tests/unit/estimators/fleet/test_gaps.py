@@ -26,7 +26,7 @@ from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.unshown_motion import unshown_motion
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.estimators.fleet.fleet_model import FleetModel
-from gcs_coloc.estimators.fleet.gaps import add_gap, judge_unshown_motion
+from gcs_coloc.estimators.fleet.gaps import add_gap, decide_unshown_motion
 from gcs_coloc.estimators.fleet.motion_profiles import PROFILES
 from gcs_coloc.estimators.fleet.searched_vehicles import search_of
 from gcs_coloc.estimators.fleet.settings import FleetSettings
@@ -213,7 +213,7 @@ def test_what_was_ruled_out_along_a_line_is_not_on_a_wide_arc(range_m, is_along_
     record.unshown = record.unshown.after_range((0.0, 1.0, 0.0), 0.3)
     e_m2, n_m2 = np.diag(cluster.joint.covariance(DENIED))[:2].tolist()
     m = RangeMeasurement(DENIED, 1, 36.0, 36.0, range_m, 0.3)
-    judge_unshown_motion(cluster, DENIED, UpdateResult(Outcome.USED, 5.0, 1.0, 25.0, 1, (1.0, 0.0, 0.0)), m)
+    decide_unshown_motion(cluster, DENIED, UpdateResult(Outcome.USED, 5.0, 1.0, 25.0, 1, (1.0, 0.0, 0.0)), m)
     more_e_m2, more_n_m2 = np.diag(cluster.joint.covariance(DENIED))[:2] - (e_m2, n_m2)
     assert more_e_m2 > 1000.0
     assert more_n_m2 == pytest.approx(0.3**2 if is_along_the_arc_only else more_e_m2, rel=0.01)
