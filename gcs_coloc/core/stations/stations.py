@@ -232,10 +232,10 @@ class Stations:
         return ResolvedRange(None, self._notice(message, reason, text))
 
     def _notice(self, message: PeerRange, reason: CoreRefusal, text: str) -> Notice | None:
-        """Return a warning, None where it was given within the last minute."""
+        """Return a warning, None where it was given within the last minute, or as many others were as are kept."""
         key, now_s = (reason, message.peer), message.received_at_s
-        told_s = self._told.get(key)
-        if (told_s is not None and now_s - told_s < _TOLD_EVERY_S) or (told_s is None and len(self._told) >= _MAX_TOLD):
+        self._told = {each: told_s for each, told_s in self._told.items() if now_s - told_s < _TOLD_EVERY_S}
+        if key in self._told or len(self._told) >= _MAX_TOLD:
             return None
         self._told[key] = now_s
         return Notice(now_s, message.sysid, "warning", text)

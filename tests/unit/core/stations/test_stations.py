@@ -155,6 +155,14 @@ def test_forged_stations_fill_no_memory_without_bound():
     assert stations.refused["stations_full"] == 344
 
 
+def test_forged_beacons_keep_a_warning_back_for_a_minute_at_most():
+    stations = Stations()
+    told = [stations.resolve(beacon(beacon_id, at_s=1.0)).notice for beacon_id in range(300)]
+    assert sum(notice is not None for notice in told) == 256
+    assert stations.resolve(named(station_node(700), at_s=60.0)).notice is None
+    assert stations.resolve(named(station_node(700), at_s=61.0)).notice is not None
+
+
 def test_a_range_is_remembered_with_its_time():
     stations = Stations([MAST])
     assert stations.ranged_s(station_node(3)) is None
