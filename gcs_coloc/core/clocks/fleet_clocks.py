@@ -28,6 +28,8 @@ from gcs_coloc.core.messages.outbound import Notice, TimeSyncRequest
 from gcs_coloc.core.reasons import DUPLICATE_ID_WORDING, CoreRefusal
 
 _MAX_RANGE_CLOCKS = 16  # of one vehicle; chosen: bounds the table against a sender of random device ids
+_SILENT_AFTER_S = 30.0  # chosen: a device that is out of range of all others for some seconds keeps its clock
+_PROVEN_AFTER_S = 60.0  # chosen: over so long the least delay of a clock is learnt
 _OTHER_ROUTE_SHARE = 0.5  # of the delay, 1-sigma: a range may come by another route than the position
 _FIX_AGE_S, _FIX_AGE_SIGMA_S = 0.1, 0.1  # when an autopilot stamps it; 0.11 s on ArduPlane
 _FIX_DELAY_S, _FIX_DELAY_SIGMA_S = 0.25, 0.25  # age and link together, where there is no stamp
@@ -44,9 +46,22 @@ _REFUSALS = {
 
 
 @dataclass(slots=True)
+class _RangeClock:
+    """The clock of one ranging device, and when the device was last heard (service time, s)."""
+
+    clock: SenderClock
+    heard_at_s: float
+
+    @property
+    def is_proven(self) -> bool:
+        """Whether the clock has run for some time."""
+        return self.heard_at_s - self.clock.began_at_s >= _PROVEN_AFTER_S
+
+
+@dataclass(slots=True)
 class _Clocks:
     boot: VehicleClock
-    ranging: dict[tuple[TimeBase, int], SenderClock] = field(default_factory=dict)
+    ranging: dict[tuple[TimeBase, int], _RangeClock] = field(default_factory=dict)
     utc_minus_service_s: float | None = None
     unanswered_reported: set[str] = field(default_factory=set)
 
@@ -128,16 +143,17 @@ class FleetClocks:
             return self._fresh(ServiceTime(message.measured_at_s, 0.0), now_s, CoreRefusal.RANGE_TOO_OLD)
         # A ranging device or companion computer may have booted apart from the autopilot.
         clocks, key = self._of(message.sysid), (message.time_base, message.device_id)
-        clock = clocks.ranging.get(key)
-        if clock is None:
-            if len(clocks.ranging) >= _MAX_RANGE_CLOCKS:
+        device = clocks.ranging.get(key)
+        if device is None:
+            if not _has_room(clocks.ranging, now_s):
                 self.refused[CoreRefusal.RANGE_CLOCKS_FULL] += 1
                 return None
-            clock = clocks.ranging[key] = SenderClock()
-        if not clock.learn(message.measured_at_s, now_s):
+            device = clocks.ranging[key] = _RangeClock(SenderClock(), now_s)
+        device.heard_at_s = now_s
+        if not device.clock.learn(message.measured_at_s, now_s):
             self.refused[CoreRefusal.RANGE_CLOCK_JUMPED] += 1
             return None
-        measured = clocks.boot.device_to_service(clock, message.measured_at_s, now_s)
+        measured = clocks.boot.device_to_service(device.clock, message.measured_at_s, now_s)
         return self._fresh(measured, now_s, CoreRefusal.RANGE_TOO_OLD)
 
     def add_system_time(self, message: SystemTime, *, gps_is_trusted: bool) -> None:
@@ -233,3 +249,14 @@ class FleetClocks:
             self.refused[too_old] += 1
             return None
         return measured
+
+
+def _has_room(ranging: dict[tuple[TimeBase, int], _RangeClock], now_s: float) -> bool:
+    """Return whether there is room for one more device; in a full table a silent one makes it, first of all an unproven one."""
+    if len(ranging) < _MAX_RANGE_CLOCKS:
+        return True
+    silent = [key for key, device in ranging.items() if now_s - device.heard_at_s >= _SILENT_AFTER_S]
+    if not silent:
+        return False
+    del ranging[min(silent, key=lambda key: (ranging[key].is_proven, ranging[key].heard_at_s))]
+    return True

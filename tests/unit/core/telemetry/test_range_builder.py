@@ -43,6 +43,21 @@ def test_the_clocks_of_one_vehicles_ranging_devices_are_bounded():
     assert feed.clocks.refused == {CoreRefusal.RANGE_CLOCKS_FULL: 24}
 
 
+def test_forged_device_ids_keep_a_new_device_out_for_half_a_minute_and_a_known_one_never():
+    clocks = FleetClocks()
+
+    def is_known(at_s, device):
+        return clocks.range_time(range_message(at_s, at_s, TimeBase.BOOT, device), None) is not None
+
+    assert all(is_known(float(at_s), 1) for at_s in range(62))
+    assert all(is_known(62.0, forged) for forged in range(100, 115))
+    assert not is_known(90.0, 2)
+    # Now all are silent, the known one for longest; the forged ones make room.
+    assert all(is_known(92.0, new) for new in range(2, 17))
+    assert is_known(92.1, 1)
+    assert not is_known(92.2, 17)
+
+
 def test_the_range_error_holds_the_peers_own_and_follows_slowly():
     feed = Builder()
     record, peer = vehicle(), vehicle(sysid=1)
