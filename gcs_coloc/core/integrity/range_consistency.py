@@ -28,8 +28,10 @@ from gcs_coloc.core.integrity.range_residuals import RangeResidualBuffer, RangeR
 from gcs_coloc.core.integrity.solution_separation import noise_excess_m2
 from gcs_coloc.core.measurements import FloatArray, RangeMeasurement
 from gcs_coloc.core.schedule import SAME_S
-from gcs_coloc.core.setting_bounds import between, check_bounds, positive
+from gcs_coloc.core.setting_bounds import Bounds, between, check_bounds, positive
 
+_INTERVALS = Bounds(0.0, 600.0, open_below=True)
+"""0 is the present alone. Chosen: after ten minutes position errors have nothing in common, and all epochs since are kept."""
 _HOLD_WINDOWS = 10.0  # without any test for so many windows a detection ends
 _SMALLER_WINDOWS = 10
 """Windows in a row in which a smaller noise is clearly likelier before it counts. Chosen: lasting errors show in each of them."""
@@ -77,6 +79,8 @@ class ConsistencySettings:
 
     def __post_init__(self) -> None:
         check_bounds(self)
+        if not self.intervals_s or not all(map(_INTERVALS.admit, self.intervals_s)):
+            raise ValueError(f"intervals_s must have one interval or more, each {_INTERVALS} s, not {self.intervals_s}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel
-from gcs_coloc.core.integrity.range_consistency import RangeConsistency
+from gcs_coloc.core.integrity.range_consistency import ConsistencySettings, RangeConsistency
 from gcs_coloc.core.integrity.range_residuals import TrackPoint
 from gcs_coloc.core.measurements import RangeMeasurement
 
@@ -193,3 +193,9 @@ def test_a_receiver_that_speaks_against_itself_is_named_however_little_it_is_off
     for _ in fly(monitor, 10.0, detours_m=no_detours, errors_m=receiver_4_is_off_by(12.0), doubtful=(4,)):
         pass
     assert monitor.identified.keys() == {4}
+
+
+@pytest.mark.parametrize("intervals_s", [(), (0.0,), (2.0, -1.0), (float("nan"),), (601.0,)])
+def test_impossible_intervals_are_refused_with_what_is_possible(intervals_s):
+    with pytest.raises(ValueError, match=r"intervals_s must have one interval or more, each above 0, at most 600 s, not \("):
+        ConsistencySettings(intervals_s=intervals_s)
