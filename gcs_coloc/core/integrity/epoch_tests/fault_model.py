@@ -50,8 +50,9 @@ class FaultKind(Enum):
 class AdjustedHypothesis:
     """One fault hypothesis after its adjustment to the ranges.
 
-    `vehicles` are the faulty ones, the pair, or the device's owner. `size_m` is the size of the fault. `statistic` is that of
-    the rest, `cost` is the same with the penalty of the hypothesis. `degrees_of_freedom` are those that are left.
+    `vehicles` are the faulty ones, the pair, or the device's owner. `size_m` is how far the positions are off, or the larger of
+    the lengths by which the ranges are. `statistic` is that of the rest, `cost` is the same with the penalty of the hypothesis.
+    `degrees_of_freedom` are those that are left.
     """
 
     kind: FaultKind
@@ -126,7 +127,7 @@ class FaultModel:
                 float(statistic),
                 float(statistic + penalty[h]),
                 self.rows * self.epochs - int(rank),
-                float(np.hypot(*state[:2])),
+                _size_m(hypotheses[h].kind, state[:2]),
             )
             for h, statistic, rank, state in zip(few, statistics, ranks, states, strict=True)
             if rank > base
@@ -251,6 +252,11 @@ class FaultModel:
         eigenvalues = np.linalg.eigvalsh(J.transpose(0, 2, 1) @ (weights @ J))
         least = np.maximum(_RANK_TOLERANCE * eigenvalues.max(axis=1, initial=0.0), MIN_INFORMATION_PER_M2)
         return np.asarray((eigenvalues > least[:, np.newaxis]).sum(axis=1))
+
+
+def _size_m(kind: FaultKind, fault_m: FloatArray) -> float:
+    """Return the size of a fault: an offset (east, north), or a length at each epoch."""
+    return float(np.hypot(*fault_m) if kind is FaultKind.POSITIONS else np.abs(fault_m).max())
 
 
 def _two_times(own: Sequence[FloatArray], shared: FloatArray) -> FloatArray:

@@ -1,5 +1,6 @@
 """Isolation of faults in random geometries: whom the ranges name, and that they name nobody on unsure ground."""
 
+from dataclasses import replace
 from math import cos, pi, sin
 
 import numpy as np
@@ -327,3 +328,13 @@ def test_a_device_is_known_to_be_off_where_its_ranges_leave_no_other_explanation
 def test_a_device_is_not_known_to_be_off_where_its_vehicle_may_be_elsewhere():
     found = explained(device_m=3.5, without_prior=False, sigma_gps_m=0.5, arc=pi / 3.0)
     assert not any(each.device_m for each in found)
+
+
+def test_a_device_that_was_off_in_the_earlier_epoch_too_is_off_by_as_much_and_by_no_more():
+    """A constant error of 3 m has a sigma of 0.4 m here: found at 3 m and not at 3 m times the root of two."""
+    found_m = []
+    for seed in range(20):
+        now, then = (ring(np.random.default_rng([seed, n]), device_m=3.0, without_prior=False, sigma_gps_m=0.1) for n in (0, 1))
+        found = isolate(replace(now, at_s=5.0), (then, 0.8), LEVELS)
+        found_m.append(next(each.size_m for each in found.plausible if each.kind is FaultKind.DEVICE))
+    assert np.median(found_m) == pytest.approx(3.0, abs=0.6)
