@@ -222,8 +222,9 @@ class FaultFilters:
         """Mix each fault's filter with the one without fault, as a fault may begin or end in this step."""
         s, smallest = self.settings, exp(_LOG_ZERO)
         no_fault, *faults = map(exp, self._log_probability)
-        onset = no_fault * s.onset_rate_per_s * step_s
-        continuing = [probability * (1.0 - s.end_rate_per_s * step_s) for probability in faults]
+        # One of them begins: all onsets together are no more than there is.
+        onset = no_fault * (1.0 - exp(-s.onset_rate_per_s * step_s * len(faults))) / len(faults)
+        continuing = [probability * exp(-s.end_rate_per_s * step_s) for probability in faults]
         fresh = self._A[0].copy()
         fresh[_SIZE, _SIZE], fresh[_RATE, _RATE] = s.onset_sigma_m**2, s.onset_rate_sigma_mps**2
         share = np.array([onset / max(onset + probability, smallest) for probability in continuing])[:, np.newaxis, np.newaxis]

@@ -7,7 +7,7 @@ from math import cos, exp, pi, sin
 import numpy as np
 import pytest
 
-from gcs_coloc.core.integrity.fault_filters import FaultFilters, LineOfSightResidual, positive_part
+from gcs_coloc.core.integrity.fault_filters import FaultFilters, FaultFilterSettings, LineOfSightResidual, positive_part
 
 STEP_S = 0.2
 REPORTED_SIGMA_M, NOISE_M, WANDER_S = 1.5, 1.0, 60.0
@@ -151,6 +151,20 @@ def test_a_jump_of_the_estimate_resets_the_displacement_and_raises_no_alarm():
     shift = {peer: 60.0 * unit[0] for peer, unit in residuals.units.items()}
     list(flown(filters, residuals, 20.0, 40.0, offset_m=shift))
     assert sum(probabilities(filters).values()) < 0.3
+
+
+def test_faults_that_begin_and_end_at_once_keep_probabilities_within_bounds():
+    filters = FaultFilters(FaultFilterSettings(onset_rate_per_s=1.0, end_rate_per_s=1.0))
+    says_nothing = {peer: LineOfSightResidual(0.0, 1e6, REPORTED_SIGMA_M, (-cos(a), -sin(a))) for peer, a in AROUND.items()}
+    faulty = []
+    for at_s in (0.0, 3.0, 6.0):
+        filters.update(says_nothing, at_s)
+        faulty.append(sum(probabilities(filters).values()))
+    # Five faults: 15 are expected to begin in a step of 3 s; a share of exp(-3) goes on.
+    begin, go_on = 1.0 - exp(-15.0), exp(-3.0)
+    expected = [begin, begin * go_on + (1.0 - begin) * begin]
+    expected.append(expected[1] * go_on + (1.0 - expected[1]) * begin)
+    assert faulty == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.mark.parametrize("shift", [3.0, 0.0, -3.0], ids=["positive", "of either sign", "negative"])
