@@ -162,8 +162,6 @@ class FaultFilters:
         A[_SIZE:] = A[:, _SIZE:] = 0.0
         self._A[:] = A
         self._log_probability = [0.0] + [_LOG_ZERO] * (len(self._A) - 1)
-        for p in known:
-            del self._updated_s[p]
         self._regroup([p for p in self.peers if p not in excluded])
 
     def probabilities(self) -> list[tuple[int | None, float]]:
@@ -187,10 +185,12 @@ class FaultFilters:
         return out
 
     def _regroup(self, peers: list[int]) -> None:
-        """Change the peers; the states and probabilities of those that remain are kept."""
+        """Change the peers; the states and probabilities of those that remain are kept, and nothing of those that leave."""
         old, x, P, log_probability = self.peers, self._means, self._covariances, self._log_probability
         self.peers = peers
-        self._updated_s = {p: self._updated_s[p] for p in peers}
+        for of_peer in (self._updated_s, self._position_sigma_m, self._noise):
+            for p in of_peer.keys() - peers:
+                del of_peer[p]
         self._clear(len(peers))
         stay = [p for p in peers if p in old]
         models = [[0, *(1 + group.index(p) for p in stay), len(group) + 1] for group in (peers, old)]

@@ -167,6 +167,21 @@ def test_faults_that_begin_and_end_at_once_keep_probabilities_within_bounds():
     assert faulty == pytest.approx(expected, rel=1e-3)
 
 
+def test_of_a_peer_that_has_left_nothing_is_remembered():
+    """Its residuals once scattered by 40 m: the first one after its return counts as much as if they had not."""
+    moved_m2 = []
+    for scattered_m in (0.0, 40.0):
+        filters, residuals = FaultFilters(), Residuals(3)
+        for step in range(200):
+            filters.update(residuals.at({4: scattered_m * (-1) ** step}), step * STEP_S)
+        del residuals.units[4]
+        list(flown(filters, residuals, 40.0, 80.0))
+        filters.update({4: LineOfSightResidual(0.0, NOISE_M, REPORTED_SIGMA_M, (-cos(4.8), -sin(4.8)))}, 80.0)
+        east_m2, _, north_m2 = filters.hypotheses(80.0)[-1].separation_m2
+        moved_m2.append(east_m2 + north_m2)
+    assert moved_m2[0] == pytest.approx(moved_m2[1], rel=0.1)
+
+
 @pytest.mark.parametrize("shift", [3.0, 0.0, -3.0], ids=["positive", "of either sign", "negative"])
 def test_the_positive_part_of_a_matrix_keeps_its_positive_eigenvalues(shift):
     rng = np.random.default_rng(11)
