@@ -137,7 +137,7 @@ class FaultFilters:
         s = self.settings
         for peer, residual in residuals.items():
             self._updated_s[peer], self._position_sigma_m[peer] = at_s, residual.position_sigma_m
-        peers = sorted(p for p, updated_s in self._updated_s.items() if at_s - updated_s <= s.max_step_s)
+        peers = sorted(self.staying(at_s))
         if peers != self.peers:
             self._regroup(peers)
         step_s = min(at_s - self.at_s, s.max_step_s)
@@ -151,6 +151,10 @@ class FaultFilters:
         for k, peer in enumerate(residuals):
             self._noise[peer] *= 1.0 - gain + gain * self._correct(H[:, k], z[k], r[k])
         self._log_probability = _normalise(self._log_probability)
+
+    def staying(self, at_s: float) -> list[int]:
+        """Return the peers that are in the filters and have had ranges recently enough to stay there at a time."""
+        return [p for p, updated_s in self._updated_s.items() if at_s - updated_s <= self.settings.max_step_s]
 
     def exclude(self, excluded: Collection[int]) -> None:
         """Remove excluded peers, and continue from the filter of the likeliest of them."""

@@ -108,7 +108,11 @@ class FaultMonitor:
         for vehicle, by_peer in self._ranges.items():
             filters = self._filters.setdefault(vehicle, FaultFilters(self.settings.filters))
             filters.exclude(excluded)
-            included = sorted(set(by_peer) - set(excluded))[:_MAX_PEERS]
+            staying = filters.staying(at_s)
+            # Of further peers those with the most ranges; forged ones take no place from those that are in the filters.
+            further = [peer for peer in by_peer if peer not in staying and peer not in excluded]
+            further.sort(key=lambda peer: -len(by_peer[peer].residuals_m))
+            included = sorted([*(by_peer.keys() & staying), *further[: _MAX_PEERS - len(staying)]])
             if included and at_s > filters.at_s:
                 filters.update({peer: self._residual(by_peer[peer], noise) for peer in included}, at_s)
         self._ranges = {}

@@ -9,6 +9,7 @@ import pytest
 
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual
 from gcs_coloc.core.integrity.epoch_tests.noise_model import AS_STATED, NoiseModel
+from gcs_coloc.core.integrity.fault_filters import FaultFilters
 from gcs_coloc.core.integrity.fault_monitor import FaultMonitor, expected_separation_m2
 from gcs_coloc.core.measurements import RangeMeasurement
 
@@ -101,6 +102,37 @@ def test_three_peers_are_needed_and_ranges_between_reported_positions_do_not_cou
     monitor = FaultMonitor()
     t = Flight(monitor).fly(0.0, 40.0, walk_mps=5.0, own_no_prior=False)
     assert monitor.separation_m2(t) == {}
+
+
+def test_of_many_peers_eight_have_filters_and_those_that_have_them_keep_them(monkeypatch):
+    peers_at = []
+    update = FaultFilters.update
+
+    def counted(filters, residuals, at_s):
+        update(filters, residuals, at_s)
+        peers_at.append(set(filters.peers))
+
+    monkeypatch.setattr(FaultFilters, "update", counted)
+    monitor = FaultMonitor()
+
+    def step(at_s, times):
+        for peer, count in times.items():
+            for _ in range(count):
+                prior = place(APART_M * cos(peer), APART_M * sin(peer))
+                monitor.add_range(RangeMeasurement(DENIED, peer, at_s, at_s, APART_M, 1.0), place(0.0, 0.0, no_prior=True), prior)
+        monitor.step(at_s, ())
+
+    vehicles = dict.fromkeys(range(50, 54), 2)
+    step(1.0, vehicles)
+    step(2.0, vehicles | dict.fromkeys(range(-20, 0), 1) | dict.fromkeys((61, 62), 3))
+    assert peers_at[-1] == {*vehicles, 61, 62, -20, -19}
+    # 24 peers in turn, six in each step.
+    for number in range(40):
+        step(3.0 + 0.2 * number, dict.fromkeys(range(200 + number % 4 * 6, 206 + number % 4 * 6), 1))
+    assert max(map(len, peers_at)) == 8
+    # All have been silent for longer than they stay.
+    step(20.0, dict.fromkeys(range(70, 73), 1))
+    assert peers_at[-1] == {70, 71, 72}
 
 
 def test_a_dropped_vehicle_and_one_without_ranges_for_half_a_minute_have_no_separation():
