@@ -6,7 +6,7 @@ noise is the stated or the observed spread, whichever is larger.
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_left, insort
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -216,7 +216,8 @@ class RangeResidualBuffer:
             samples = self._samples.get(pair)
             if samples is None:
                 samples = self._samples[pair] = []
-            samples.append((at_s, m.range_m - dist(a.position_enu_m, b.position_enu_m), m.sigma_m))
+            # By time: a range may be overtaken on its link.
+            insort(samples, (at_s, m.range_m - dist(a.position_enu_m, b.position_enu_m), m.sigma_m))
             if len(samples) > _MAX_SAMPLES:
                 del samples[0]
         self._pending.clear()

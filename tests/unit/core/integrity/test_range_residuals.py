@@ -55,3 +55,14 @@ def test_between_two_reports_a_position_is_extrapolated_from_the_nearer_one():
     assert residual.residual_m == pytest.approx(2.0, abs=1e-9)
     # All five agree to the last bit, so the noise is what is stated.
     assert residual.sigma_m == pytest.approx(np.sqrt(1.57 / 5 + 0.1), rel=1e-6)
+
+
+def test_the_newest_and_the_oldest_range_are_so_by_their_time_and_not_by_their_arrival():
+    residuals = RangeResidualBuffer()
+    for t in (0.0, 0.5, 1.0):
+        for vehicle, east_m in ((1, 0.0), (2, APART_M)):
+            residuals.add_position(vehicle, TrackPoint(t, (east_m, 0.0, 100.0), (0.0, 0.0, 0.0), 1.5, 2.0, no_prior=False))
+    for measured_s in (0.6, 1.0, 0.2, 0.4, 0.8):
+        residuals.add_range(RangeMeasurement(1, 2, measured_s, 1.1, APART_M, 1.0))
+    assert residuals.epoch(1.2).began_s == 0.2
+    assert residuals.ranged_at_s(1) == 1.0
