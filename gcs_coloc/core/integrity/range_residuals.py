@@ -15,6 +15,7 @@ from statistics import median
 from typing import NamedTuple
 
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual
+from gcs_coloc.core.integrity.epoch_tests.pair_outliers import Pair
 from gcs_coloc.core.integrity.fault_monitor import FaultMonitor
 from gcs_coloc.core.measurements import RangeMeasurement, Vector3
 from gcs_coloc.core.setting_bounds import between, check_bounds, positive
@@ -118,7 +119,8 @@ class RangeResidualBuffer:
     fault_monitor: FaultMonitor | None = None
     _tracks: dict[int, _Track] = field(default_factory=dict)
     _pending: deque[RangeMeasurement] = field(default_factory=lambda: deque(maxlen=_MAX_PENDING))
-    _samples: dict[tuple[int, int], list[_Sample]] = field(default_factory=dict)
+    _samples: dict[Pair, list[_Sample]] = field(default_factory=dict)
+    _pairs: frozenset[Pair] = frozenset()
 
     def add_position(self, vehicle: int, point: TrackPoint) -> None:
         """Add a vehicle's position. When it gains or loses its prior, its residuals so far are dropped."""
@@ -153,7 +155,9 @@ class RangeResidualBuffer:
         s = self.settings
         oldest_s = now_s - s.wait_s - s.max_window_s
         dense = {pair: [sample for sample in samples if sample[0] > oldest_s] for pair, samples in self._samples.items()}
-        return self._epoch(dense, now_s, s.min_ranges)
+        epoch = self._epoch(dense, now_s, s.min_ranges)
+        self._pairs = frozenset(residual.pair for residual in epoch.residuals)
+        return epoch
 
     def sparse_epoch(self, now_s: float, dense: Epoch) -> Epoch:
         """Return `dense` with the pairs that are ranged too seldom for it.
@@ -164,28 +168,35 @@ class RangeResidualBuffer:
             return dense
         return self._epoch(self._samples, now_s, 1)
 
-    def _epoch(self, ranges: Mapping[tuple[int, int], list[_Sample]], now_s: float, min_ranges: int) -> Epoch:
+    def _epoch(self, ranges: Mapping[Pair, list[_Sample]], now_s: float, min_ranges: int) -> Epoch:
+        """Return the epoch of some ranges.
+
+        Of a device with too many peers those count that did in the last dense epoch, and then those with the most ranges: forged
+        ones push nobody out.
+        """
         s = self.settings
         middle_s = now_s - s.wait_s - 0.5 * s.window_s
         from_s = now_s - s.wait_s - s.window_s
-        at_middle = {vehicle: self._tracks[vehicle].at(middle_s) for vehicle in {v for pair in ranges for v in pair}}
-        priors: dict[int, PositionPrior] = {}
-        residuals: list[RangeResidual] = []
-        per_device: Counter[int] = Counter()
-        began_s = ended_s = now_s - s.wait_s
-        for (i, j), kept in sorted(ranges.items()):
-            a, b = at_middle[i], at_middle[j]
-            if a is None or b is None or per_device[i] >= _MAX_PEERS_PER_DEVICE:
+        tracked = {vehicle: self._tracks[vehicle].at(middle_s) for vehicle in {v for pair in ranges for v in pair}}
+        at_middle = {vehicle: prior for vehicle, prior in tracked.items() if prior is not None}
+        usable: dict[Pair, list[_Sample]] = {}
+        for (i, j), kept in ranges.items():
+            if i not in at_middle or j not in at_middle:
                 continue
             recent = [sample for sample in kept if sample[0] > from_s]
             samples = recent if len(recent) >= s.enough_ranges else kept
-            if len(samples) < min_ranges or dist(a.position_enu_m, b.position_enu_m) < _MIN_DISTANCE_M:
-                continue
-            priors[i], priors[j] = a, b
-            residuals.append(self._residual(i, j, samples))
-            per_device[i] += 1
-            began_s = min(began_s, samples[0][0])
-        return Epoch(middle_s, priors, tuple(residuals), began_s, ended_s)
+            apart_m = dist(at_middle[i].position_enu_m, at_middle[j].position_enu_m)
+            if len(samples) >= min_ranges and apart_m >= _MIN_DISTANCE_M:
+                usable[i, j] = samples
+        per_device: Counter[int] = Counter()
+        for pair in sorted(usable, key=lambda pair: (pair not in self._pairs, -len(usable[pair]))):
+            per_device[pair[0]] += 1
+            if per_device[pair[0]] > _MAX_PEERS_PER_DEVICE:
+                del usable[pair]
+        pairs, ended_s = sorted(usable), now_s - s.wait_s
+        priors = {vehicle: at_middle[vehicle] for pair in pairs for vehicle in pair}
+        residuals = tuple(self._residual(*pair, usable[pair]) for pair in pairs)
+        return Epoch(middle_s, priors, residuals, min((usable[pair][0][0] for pair in pairs), default=ended_s), ended_s)
 
     def _residual(self, i: int, j: int, samples: list[_Sample]) -> RangeResidual:
         s = self.settings

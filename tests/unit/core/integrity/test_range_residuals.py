@@ -66,3 +66,25 @@ def test_the_newest_and_the_oldest_range_are_so_by_their_time_and_not_by_their_a
         residuals.add_range(RangeMeasurement(1, 2, measured_s, 1.1, APART_M, 1.0))
     assert residuals.epoch(1.2).began_s == 0.2
     assert residuals.ranged_at_s(1) == 1.0
+
+
+def test_of_many_peers_eight_count_and_those_that_did_before_go_on():
+    residuals, known = RangeResidualBuffer(), range(60, 66)
+
+    def second(from_s, ranges):
+        """Add a second of standing vehicles and of so many ranges of vehicle 1 to each peer; return who is in the epochs."""
+        for t in (from_s, from_s + 0.5, from_s + 1.0):
+            for vehicle in (1, *ranges):
+                place = (APART_M * vehicle, 0.0, 100.0)
+                residuals.add_position(vehicle, TrackPoint(t, place, (0.0, 0.0, 0.0), 1.5, 2.0, no_prior=False))
+        for peer, count in ranges.items():
+            for t in np.linspace(from_s + 0.1, from_s + 1.0, count).tolist():
+                residuals.add_range(RangeMeasurement(1, peer, t, t, APART_M * abs(peer - 1), 1.0))
+        now_s = from_s + 1.2
+        dense = residuals.epoch(now_s)
+        assert dense.priors.keys() == {v for r in dense.residuals for v in r.pair}
+        return [{r.to_vehicle for r in epoch.residuals} for epoch in (dense, residuals.sparse_epoch(now_s, dense))]
+
+    assert second(0.0, dict.fromkeys(known, 5)) == [set(known)] * 2
+    more = dict.fromkeys(range(-20, 0), 6) | dict.fromkeys((70, 71), 9)
+    assert second(1.0, dict.fromkeys(known, 5) | more) == [{*known, 70, 71}] * 2
