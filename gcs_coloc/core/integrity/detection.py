@@ -48,18 +48,22 @@ class Detection:
         self.vehicles = frozenset(self._possible_until_s.keys() | self._monitored_until_s.keys())
 
     def limit_to(self, vehicles: Collection[int], now_s: float) -> None:
-        """Have these vehicles alone: the ranges say of all others that they are right."""
-        self._possible_until_s, self._also = dict.fromkeys(vehicles, now_s + _CLEARED_AFTER_S), {}
-        self.vehicles = frozenset(vehicles)
+        """Have these vehicles alone of those of the tests of epochs: the ranges say of all others that they are right.
 
-    def clear(self) -> None:
-        """End it: the fault is identified."""
-        self._possible_until_s, self._also = {}, {}
-        self.vehicles = frozenset()
+        What the fault monitor names goes on: it knows more of the past, and for some seconds an anchor less costs little.
+        """
+        self._possible_until_s, self._also = dict.fromkeys(vehicles, now_s + _CLEARED_AFTER_S), {}
+        self.vehicles = frozenset(vehicles) | self._monitored_until_s.keys()
+
+    def remove(self, identified: Collection[int]) -> None:
+        """Remove identified vehicles, and end what the tests of epochs have shown: their fault explains it."""
+        for vehicle in identified:
+            self._monitored_until_s.pop(vehicle, None)
+        self.end_of_tests()
 
     def end_of_tests(self) -> None:
         """End what the tests of epochs have shown; what the fault monitor names goes on."""
-        self.clear()
+        self._possible_until_s, self._also = {}, {}
         self.vehicles = frozenset(self._monitored_until_s)
 
     def also(self, in_use: Collection[int], margin: float) -> dict[frozenset[int], float] | None:

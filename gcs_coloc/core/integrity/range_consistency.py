@@ -298,7 +298,7 @@ class RangeConsistency:
             peers = {v for residual in epoch.residuals for v in residual.pair if vehicle in residual.pair}
             self.identified[vehicle] = IdentifiedFault(tuple(sorted(peers - identified.keys())), size_m)
         if identified:
-            self._detection.clear()
+            self._detection.remove(identified)
             for each in self._persistence.values():
                 each.reset()
             return

@@ -88,6 +88,18 @@ def test_it_can_be_limited_to_some_and_ends_once_the_fault_is_identified():
     detection.limit_to({2}, 11.0)
     assert detection.vehicles == {2}
     assert detection.also(ALL, MARGIN) == {frozenset((v,)): RULED_OUT for v in (1, 3, 4, 5)}
-    detection.clear()
+    detection.remove({2})
     assert detection.vehicles == frozenset()
     assert detection.also(ALL, MARGIN) is None
+
+
+def test_who_is_identified_is_named_by_nobody_any_more_and_others_that_the_fault_monitor_names_go_on_throughout():
+    detection, seen = Detection(), []
+    detection.add_samples({0.0: ONE_OR_TWO}, {1, 2}, 10.0)
+    detection.add_monitored({1, 4}, 10.0, 20.0)
+    for end in (lambda: detection.limit_to({2}, 11.0), lambda: detection.remove({1})):
+        end()
+        seen.append(detection.vehicles)
+        detection.add_monitored((), 12.0, 20.0)
+        seen.append(detection.vehicles)
+    assert seen == [{1, 2, 4}] * 2 + [{4}] * 2
