@@ -18,7 +18,7 @@ import numpy as np
 
 from gcs_coloc.core.integrity.detection import Detection
 from gcs_coloc.core.integrity.epoch_tests.accuracy_evidence import AccuracyEvidence
-from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, EpochHistory, Past
+from gcs_coloc.core.integrity.epoch_tests.epoch import EPOCH_TOLERANCE_S, Epoch, EpochHistory, Past
 from gcs_coloc.core.integrity.epoch_tests.fault_tests import FaultTestResult, SignificanceLevels, run_tests
 from gcs_coloc.core.integrity.epoch_tests.inconsistency import explain_inconsistency
 from gcs_coloc.core.integrity.epoch_tests.isolation import Isolation, IsolationPersistence, isolate
@@ -48,8 +48,8 @@ _PAIRS_FAIL_FOR_S = 60.0
 class ConsistencySettings:
     """When tests run, and what their results lead to."""
 
-    period_s: float = positive(0.2, most=10.0)
-    """Tests run so often, s. Chosen: as often as ranges and positions come."""
+    period_s: float = positive(0.2, most=EPOCH_TOLERANCE_S)
+    """Tests run so often, s. Chosen: as often as ranges and positions come. With more, intervals would have no earlier epoch."""
     intervals_s: tuple[float, ...] = (2.0, 5.0, 12.0)
     """Tested are the present, and the change since so long ago, s. Chosen: a ramp of 5 m/s shows within the first, one of 1 m/s
     within the last."""

@@ -25,7 +25,8 @@ MIN_INFORMATION_PER_M2 = 1e-9
 """Information of a coordinate without prior: a 1-sigma of 30 km. Chosen: less costs digits of the adjustment."""
 LARGEST_SIGMA_V_M = 10.0
 """Of a height without prior in an adjustment. Chosen: a free one would cost each range its information."""
-_EPOCH_TOLERANCE_S = 0.3  # chosen: one and a half of the 0.2 s between epochs
+EPOCH_TOLERANCE_S = 0.3
+"""So far an earlier epoch may be from the time that is wanted. Chosen: one and a half of the 0.2 s between epochs."""
 
 _at_s = attrgetter("at_s")
 
@@ -208,4 +209,4 @@ class EpochHistory:
         later = bisect_left(self._epochs, wanted_s, key=_at_s)
         neighbours = [self._epochs[n] for n in (later - 1, later) if 0 <= n < len(self._epochs)]
         nearest = min(neighbours, key=lambda epoch: abs(epoch.at_s - wanted_s), default=None)
-        return nearest if nearest is not None and abs(nearest.at_s - wanted_s) <= _EPOCH_TOLERANCE_S else None
+        return nearest if nearest is not None and abs(nearest.at_s - wanted_s) <= EPOCH_TOLERANCE_S else None

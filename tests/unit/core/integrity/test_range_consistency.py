@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from gcs_coloc.core.integrity.epoch_tests.epoch import EPOCH_TOLERANCE_S, Epoch, EpochHistory
 from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel
 from gcs_coloc.core.integrity.range_consistency import ConsistencySettings, RangeConsistency
 from gcs_coloc.core.integrity.range_residuals import TrackPoint
@@ -199,3 +200,16 @@ def test_a_receiver_that_speaks_against_itself_is_named_however_little_it_is_off
 def test_impossible_intervals_are_refused_with_what_is_possible(intervals_s):
     with pytest.raises(ValueError, match=r"intervals_s must have one interval or more, each above 0, at most 600 s, not \("):
         ConsistencySettings(intervals_s=intervals_s)
+
+
+def test_tests_run_often_enough_that_each_interval_has_an_earlier_epoch_even_where_one_is_missing():
+    most_s = EPOCH_TOLERANCE_S
+    intervals_s = ConsistencySettings(period_s=most_s).intervals_s
+    with pytest.raises(ValueError, match=r"period_s must be above 0, at most 0.3, not 3"):
+        ConsistencySettings(period_s=3.0)
+    for missing in range(60):
+        history = EpochHistory(intervals_s, 30.0, most_s)
+        for number in range(60):
+            if number != missing:
+                history.append(Epoch(number * most_s, {}, ()))
+        assert history.pasts(60 * most_s).keys() == {0.0, *intervals_s}
