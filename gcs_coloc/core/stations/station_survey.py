@@ -10,7 +10,8 @@ number of ranges averages o and b away: they are considered in the covariance. A
 not tell apart, as above and beneath vehicles at one height, is not surveyed yet.
 
 Source: Y. Bar-Shalom et al., Estimation with Applications to Tracking and Navigation (2001), section 3.4 (nonlinear least
-squares); P. J. Huber, Robust Statistics (1981), for the weights.
+squares); P. J. Huber, Robust Statistics (1981), for the weights; J. S. Vitter, ACM Trans. Math. Software 11 (1985), algorithm R,
+for the samples that are kept.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ from gcs_coloc.core.stations.stations import MAX_STATIONS, Station, StationPosit
 _LEAST_MOVED_M = 5.0
 """Chosen: ranges from one place have the same errors; a vehicle that hovers adds nothing."""
 _MOST_SAMPLES = 120
-"""Of a station. Chosen: a solution takes some 7 ms, well within the fifth of a second between reviews; later ones replace those
-at random places before, and the lasting errors of ranges and receivers, not the number, bound what is known."""
+"""Of a station. Chosen: a solution takes some 7 ms, well within the fifth of a second between reviews, and the lasting errors of
+ranges and receivers, not the number, bound what is known."""
 _LEAST_SAMPLES = 12  # chosen: four unknowns, three samples of each
 _MANY_SAMPLES = 100
 """Chosen: half a kilometre of a flight; who has flown so far without an answer is told why."""
@@ -87,11 +88,12 @@ class _Sample(NamedTuple):
 @dataclass(slots=True)
 class _Survey:
     samples: list[_Sample] = field(default_factory=list)
+    last_m: dict[int, Vector3] = field(default_factory=dict)
     added: int = 0
     solved_at: float = _LEAST_SAMPLES / _MORE
     found: SurveyedPosition | None = None
     told_sigma_m: float = inf
-    told: SurveyProblem | None = None
+    told: set[SurveyProblem] = field(default_factory=set)
 
     @property
     def growth(self) -> float:
@@ -104,6 +106,7 @@ class StationSurvey:
 
     def __init__(self) -> None:
         self._surveys: dict[int, _Survey] = {}
+        self._random = np.random.default_rng(0)  # seeded: a replay finds the same
 
     @property
     def found(self) -> dict[int, SurveyedPosition]:
@@ -116,16 +119,18 @@ class StationSurvey:
         if at is None or (node not in self._surveys and len(self._surveys) >= MAX_STATIONS):
             return
         survey = self._surveys.setdefault(node, _Survey())
-        last = next((s for s in reversed(survey.samples) if s.vehicle == measurement.from_vehicle), None)
-        if last is not None and dist(last.position_m, at) < _LEAST_MOVED_M:
+        last_m = survey.last_m.get(measurement.from_vehicle)
+        if last_m is not None and dist(last_m, at) < _LEAST_MOVED_M:
             return
+        survey.last_m[measurement.from_vehicle] = at
         sigma_p_m = max(reported.sigma_h_m, reported.sigma_v_m)
         sample = _Sample(measurement.from_vehicle, at, measurement.range_m, measurement.sigma_m, sigma_p_m)
-        if len(survey.samples) >= _MOST_SAMPLES:
-            # The places stay spread over the whole flight: any of those before may go.
-            survey.samples.pop((survey.added * 7919) % _MOST_SAMPLES)
-        survey.samples.append(sample)
         survey.added += 1
+        if len(survey.samples) < _MOST_SAMPLES:
+            survey.samples.append(sample)
+        elif (place := int(self._random.integers(survey.added))) < _MOST_SAMPLES:
+            # Each sample of the whole flight is kept with the same probability.
+            survey.samples[place] = sample
 
     def solve_next(self) -> tuple[int, SurveyedPosition | SurveyProblem] | None:
         """Solve for the position of the one station whose ranges have grown most since its last solution.
@@ -143,9 +148,9 @@ class StationSurvey:
         result = survey_position(survey.samples)
         if isinstance(result, SurveyProblem):
             survey.found = None
-            if result is survey.told or survey.added < _MANY_SAMPLES:
+            if result in survey.told or survey.added < _MANY_SAMPLES:
                 return None
-            survey.told = result
+            survey.told.add(result)
             return node, result
         survey.found = result
         sigma_m = max(result.sigma_h_m, result.sigma_v_m)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from gcs_coloc.core.measurements import PositionMeasurement, RangeMeasurement
+from gcs_coloc.core.stations import station_survey
 from gcs_coloc.core.stations.node_id import station_node
 from gcs_coloc.core.stations.station_survey import StationSurvey, SurveyProblem
 from gcs_coloc.core.stations.stations import MAX_STATIONS
@@ -83,10 +84,11 @@ def test_a_side_that_the_ranges_leave_open_gives_no_position(case):
         assert told == [SurveyProblem.AMBIGUOUS]
 
 
-def test_a_station_far_off_to_one_side_is_told_as_coarse():
+def test_a_station_far_off_to_one_side_is_told_as_coarse_and_each_reason_once():
+    """Later in the flight its height is known well enough to tell two places apart, for a while."""
     found, told = surveyed(1, place=(20_000.0, 0.0, 0.0))
     assert found is None
-    assert told == [SurveyProblem.COARSE]
+    assert told == [SurveyProblem.COARSE, SurveyProblem.AMBIGUOUS]
 
 
 def test_a_survey_is_told_again_only_when_it_is_known_twice_as_well():
@@ -115,3 +117,17 @@ def test_forged_stations_fill_no_more_than_a_table_and_one_is_sought_at_a_time()
     for sought in range(MAX_STATIONS + 40):
         assert len(survey.found) == min(sought, MAX_STATIONS)
         survey.solve_next()
+
+
+def test_the_ranges_that_are_kept_stay_spread_over_the_whole_flight(monkeypatch):
+    kept = []
+    monkeypatch.setattr(station_survey, "survey_position", lambda samples: kept.append(samples) or SurveyProblem.COARSE)
+    survey = StationSurvey()
+    for k in range(1000):
+        report = PositionMeasurement(1, k, k, (20.0 * k, 0.0, 90.0), 1.0, 1.0, (20.0, 0.0, 0.0))
+        survey.add(RangeMeasurement(1, NODE, k, k, 500.0, SIGMA_M), report)
+    survey.solve_next()
+    numbers = [sample.position_m[0] / 20.0 for sample in kept[-1]]
+    # 30 are expected of each quarter, with a sigma of 4.4.
+    assert np.histogram(numbers, bins=4, range=(0.0, 1000.0))[0] == pytest.approx([30] * 4, abs=18)
+    assert len(numbers) == 120
