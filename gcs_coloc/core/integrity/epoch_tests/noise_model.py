@@ -74,10 +74,10 @@ class NoiseModel:
     def text(self) -> str:
         """What is larger than stated, in words; empty where nothing is."""
         parts = (
-            f"lasting errors of ranges of about {self.range_bias_m:.0f} m" if self.range_bias_m > 0.0 else "",
-            f"lasting errors of devices of about {self.device_bias_m:.0f} m" if self.device_bias_m > 0.0 else "",
-            f"errors of devices of {100.0 * self.device_scale:.1f} % of the range" if self.device_scale > 0.0 else "",
-            f"errors of heights of about {self.height_sigma_m:.0f} m" if self.height_sigma_m > 0.0 else "",
+            f"lasting errors of ranges of about {_about(self.range_bias_m)} m" if self.range_bias_m > 0.0 else "",
+            f"lasting errors of devices of about {_about(self.device_bias_m)} m" if self.device_bias_m > 0.0 else "",
+            f"errors of devices of {_about(100.0 * self.device_scale)} % of the range" if self.device_scale > 0.0 else "",
+            f"errors of heights of about {_about(self.height_sigma_m)} m" if self.height_sigma_m > 0.0 else "",
             f"positions {self.position_factor:.1f} times worse than stated" if self.position_factor > 1.0 else "",
         )
         return ", ".join(filter(None, parts))
@@ -103,17 +103,20 @@ class NoiseModel:
     def after(self, elapsed_s: float) -> NoiseModel:
         """Return what is left of the model after some time (s), without the pairs that are off.
 
-        What still acts is found anew.
+        What still acts is found anew. A component below a tenth of its smallest step is gone.
         """
         kept = exp(-elapsed_s / _FORGOTTEN_S)
-        left = NoiseModel(
-            self.range_bias_m * kept,
-            self.device_bias_m * kept,
-            self.device_scale * kept,
-            self.height_sigma_m * kept,
-            1.0 + (self.position_factor - 1.0) * kept,
+
+        def left(component: float, smallest: float) -> float:
+            return component * kept if component * kept > 0.1 * smallest else 0.0
+
+        return NoiseModel(
+            left(self.range_bias_m, _RANGE_BIASES_M[0]),
+            left(self.device_bias_m, _RANGE_BIASES_M[0]),
+            left(self.device_scale, _DEVICE_SCALES[0]),
+            left(self.height_sigma_m, _HEIGHT_SIGMAS_M[0]),
+            1.0 + left(self.position_factor - 1.0, _POSITION_FACTORS[0] - 1.0),
         )
-        return left if _is_considerable(left) else NoiseModel()
 
     def larger(self) -> Iterator[NoiseModel]:
         """Yield the models with one component enlarged."""
@@ -248,12 +251,6 @@ def clearly_smaller_noise(epoch: Epoch, present: NoiseModel, levels: Significanc
     return min(found, key=lambda each: each.cost).model if found else None
 
 
-def _is_considerable(model: NoiseModel) -> bool:
-    """Return whether some component is at least a tenth of its smallest step."""
-    return (
-        model.range_bias_m > 0.1 * _RANGE_BIASES_M[0]
-        or model.device_bias_m > 0.1 * _RANGE_BIASES_M[0]
-        or model.device_scale > 0.1 * _DEVICE_SCALES[0]
-        or model.height_sigma_m > 0.1 * _HEIGHT_SIGMAS_M[0]
-        or model.position_factor > 1.0 + 0.1 * (_POSITION_FACTORS[0] - 1.0)
-    )
+def _about(value: float) -> str:
+    """Return a number as it is told: whole, or below 1 its first digit that is not zero."""
+    return f"{value:.0f}" if value >= 1.0 else f"{value:.1g}"

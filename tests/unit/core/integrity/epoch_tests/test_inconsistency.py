@@ -154,6 +154,15 @@ def test_noise_is_forgotten_where_it_acts_no_longer():
     assert NoiseModel().text == ""
 
 
+def test_noise_is_told_while_it_is_more_than_nothing_and_each_component_is_forgotten_by_itself():
+    noise = NoiseModel(0.4, 0.3, 0.02, 5.0, 1.5)
+    assert noise.after(600.0).text == (
+        "lasting errors of ranges of about 0.1 m, lasting errors of devices of about 0.1 m, "
+        "errors of devices of 0.7 % of the range, errors of heights of about 2 m, positions 1.2 times worse than stated"
+    )
+    assert noise.after(1200.0).text == "errors of devices of 0.3 % of the range, errors of heights of about 0.7 m"
+
+
 def test_noise_that_blocked_ranges_brought_about_is_taken_back():
     """The ranges are as stated again; 8 m were the likeliest while half of them were off."""
     found = [clearly_smaller_noise(epoch(np.random.default_rng(seed)), NoiseModel(range_bias_m=8.0), LEVELS) for seed in SEEDS]
