@@ -137,7 +137,7 @@ class IntegrityMonitor:
             if separation is not None and ranged_at_s is not None and sysid in separation.vehicles:
                 levels[sysid] = fault_level(separation.of(sysid), where, ranged_at_s, self._protection, also)
             else:
-                # Until it has ranges, its last own position carries it.
+                # Until it has ranges, its last own position carries it; after them its last level does, which grows with time.
                 beginning = FaultLevel(0.0, horizontal_sigma_m(where.protected_covariance), now_s, ())
                 levels[sysid] = self._fault_levels.get(sysid, beginning)
         self._fault_levels = levels

@@ -18,7 +18,7 @@ from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels
 from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel, restricted_likelihood
 from gcs_coloc.core.schedule import SAME_S
 
-_EVERY_S = 5.0  # chosen: bounds the cost, fifteen likelihoods; positions err for longer
+_EVERY_S = 5.0  # chosen: bounds the cost, up to seventeen likelihoods; positions err for longer
 _FIRST_LOG_ODDS = -2.0 * log(100.0)
 """Chosen: the receivers of one fleet in a hundred state half of their error."""
 _LEAST_LOG_ODDS = 2.0 * _FIRST_LOG_ODDS
