@@ -17,7 +17,7 @@ import numpy as np
 
 from gcs_coloc.core.aiding.fix_policy import FixPolicy
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m, horizontal_dilution_of
-from gcs_coloc.core.integrity.epoch_tests.epoch import LARGEST_SIGMA_V_M, Epoch, PositionPrior, RangeResidual
+from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual, height_sigma_m
 from gcs_coloc.core.integrity.protection_level import VERTICAL_RATIO, Exposure, FaultLevel, fault_level, protection_level
 from gcs_coloc.core.integrity.range_residuals import RangeResidualSettings
 from gcs_coloc.core.integrity.solution_separation import SolutionSeparation
@@ -237,7 +237,7 @@ class _Recursion:
         priors: dict[int, PositionPrior] = {}
         residuals: list[RangeResidual] = []
         for sysid, where in located.items():
-            sigma_v_m = min(sqrt(float(where.covariance[2, 2])), LARGEST_SIGMA_V_M)
+            sigma_v_m = height_sigma_m(where.covariance)
             for node in used[sysid]:
                 if node in self._lost and node not in located:
                     continue
@@ -257,7 +257,7 @@ class _Recursion:
             station = self._stations[node]
             return PositionPrior(station.position_enu_m, station.sigma_m, station.sigma_m, no_prior=False)
         if node in located:
-            sigma_v_m = min(sqrt(float(located[node].covariance[2, 2])), LARGEST_SIGMA_V_M)
+            sigma_v_m = height_sigma_m(located[node].covariance)
             return PositionPrior(here[node], 0.0, sigma_v_m, no_prior=True)
         sigma_m = self._a.position_sigma_m
         return PositionPrior(here[node], sigma_m, VERTICAL_RATIO * sigma_m, no_prior=False)

@@ -11,11 +11,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import sqrt
 
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.geodesy import LocalFrame
-from gcs_coloc.core.integrity.epoch_tests.epoch import LARGEST_SIGMA_V_M, Epoch
+from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, height_sigma_m
 from gcs_coloc.core.integrity.protection_level import (
     Exposure,
     FaultLevel,
@@ -151,7 +150,7 @@ class IntegrityMonitor:
         if where is None:
             self._consistency.drop(vehicle.sysid)
             return
-        sigma_v_m = min(sqrt(float(where.covariance[2, 2])), LARGEST_SIGMA_V_M)
+        sigma_v_m = height_sigma_m(where.covariance)
         (e, n, u), (ve, vn, vu) = where.position_enu_m.tolist(), where.velocity_enu_mps.tolist()
         track = TrackPoint(now_s, (e, n, u), (ve, vn, vu), 0.0, sigma_v_m, no_prior=True)
         self._consistency.add_position(vehicle.sysid, track)

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
-from math import inf, sqrt
+from math import inf
 
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.gps_health.gps_health import GpsState
-from gcs_coloc.core.integrity.epoch_tests.epoch import LARGEST_SIGMA_V_M, Epoch, EpochHistory
+from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, EpochHistory, height_sigma_m
 from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels
 from gcs_coloc.core.integrity.fix_check import FixCheck, FixConsistency, check_fix, fits_alone, star
 from gcs_coloc.core.integrity.range_consistency import ConsistencySettings, IdentifiedFault
@@ -249,7 +249,7 @@ class ReacquisitionMonitor:
 
     def _add_estimate(self, where: Estimate, now_s: float) -> None:
         (e, n, u), (ve, vn, vu) = where.position_enu_m.tolist(), where.velocity_enu_mps.tolist()
-        sigma_v_m = min(sqrt(float(where.covariance[2, 2])), LARGEST_SIGMA_V_M)
+        sigma_v_m = height_sigma_m(where.covariance)
         sigma_h_m = horizontal_sigma_m(where.protected_covariance)
         self._residuals.add_position(
             where.vehicle, TrackPoint(now_s, (e, n, u), (ve, vn, vu), sigma_h_m, sigma_v_m, no_prior=False)

@@ -27,14 +27,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius
-from gcs_coloc.core.integrity.epoch_tests.epoch import MIN_SIGMA_M, Epoch
+from gcs_coloc.core.integrity.epoch_tests.epoch import MIN_SIGMA_M, Epoch, range_jacobian
 from gcs_coloc.core.integrity.epoch_tests.fault_tests import WELL_PLACED_SIGMA_M
+from gcs_coloc.core.integrity.epoch_tests.isolation import MAX_CANDIDATES, MAX_SUBSET
 from gcs_coloc.core.measurements import FloatArray
 
 _LEAST_INFORMATION_PER_M2 = 1e-6  # of a coordinate without prior: a 1-sigma of 1 km, so that every hypothesis has a solution
 _MEDIAN_SIGMAS = 0.674
 """Median distance in one direction, in sigmas: without a receiver a position is poor in one direction. Source: the Gaussian."""
-_MOST_CANDIDATES, _MOST_AT_ONCE = 8, 4  # chosen: bounds the subsets to 162, as in isolation
 
 
 class FaultClass(Enum):
@@ -69,11 +69,7 @@ class SolutionSeparation:
 
     def __init__(self, epoch: Epoch) -> None:
         self._arrays = arrays = epoch.arrays
-        rows, size = len(arrays.pairs), 3 * len(arrays.vehicles)
-        H: FloatArray = np.zeros((rows, len(arrays.vehicles), 3))
-        i, j = arrays.ends
-        H[np.arange(rows), i], H[np.arange(rows), j] = arrays.unit_vectors, -arrays.unit_vectors
-        self._H = H.reshape(rows, size)
+        self._H = range_jacobian(arrays.unit_vectors, arrays.ends, len(arrays.vehicles))
         self._weights = 1.0 / np.maximum(arrays.variances_m2, MIN_SIGMA_M**2)
         self._prior = np.where(arrays.has_prior, arrays.sqrt_information**2, _LEAST_INFORMATION_PER_M2)
         weighted = self._weights[:, np.newaxis] * self._H
@@ -142,11 +138,11 @@ class SolutionSeparation:
     def _receiver_subsets(self) -> list[NDArray[np.intp]]:
         """Return the subsets of reporting vehicles by their size, each as the places of its vehicles."""
         reporting = [at for at, free in enumerate(self._arrays.no_prior) if not free]
-        if len(reporting) > _MOST_CANDIDATES:
+        if len(reporting) > MAX_CANDIDATES:
             # Those whose ranges weigh most.
             weight = np.abs(self._H).T @ self._weights
-            reporting = sorted(sorted(reporting, key=lambda at: -weight[3 * at : 3 * at + 2].sum())[:_MOST_CANDIDATES])
-        largest = min(max(len(reporting) // 2, 1), _MOST_AT_ONCE) if reporting else 0
+            reporting = sorted(sorted(reporting, key=lambda at: -weight[3 * at : 3 * at + 2].sum())[:MAX_CANDIDATES])
+        largest = min(max(len(reporting) // 2, 1), MAX_SUBSET) if reporting else 0
         return [np.array(list(combinations(reporting, size)), dtype=np.intp) for size in range(1, largest + 1)]
 
     def _receivers(self, own: slice, subsets: NDArray[np.intp], x: FloatArray) -> _Hypotheses:

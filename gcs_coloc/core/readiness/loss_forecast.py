@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import sqrt
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from gcs_coloc.core.aiding.fix_policy import FixPolicy
 from gcs_coloc.core.aiding.inhibit import Inhibit
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
-from gcs_coloc.core.integrity.epoch_tests.epoch import LARGEST_SIGMA_V_M, Epoch, PositionPrior
+from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, height_sigma_m
 from gcs_coloc.core.integrity.fault_monitor import expected_separation_m2
 from gcs_coloc.core.integrity.protection_level import (
     Exposure,
@@ -167,7 +166,7 @@ def _at(situation: LossSituation, epoch: Epoch, answer: Estimate, begin_s: float
         if node != vehicle
     }
     e, n, u = answer.position_enu_m.tolist()
-    sigma_v_m = min(sqrt(float(answer.covariance[2, 2])), LARGEST_SIGMA_V_M)
+    sigma_v_m = height_sigma_m(answer.covariance)
     priors[vehicle] = PositionPrior((e, n, u), 0.0, sigma_v_m, no_prior=True)
     return replace(epoch, priors=priors)
 

@@ -23,7 +23,7 @@ MIN_SIGMA_M = 0.01
 """Smallest 1-sigma of a position and smallest distance. Chosen: below GNSS and ranging, above rounding."""
 MIN_INFORMATION_PER_M2 = 1e-9
 """Information of a coordinate without prior: a 1-sigma of 30 km. Chosen: less costs digits of the adjustment."""
-LARGEST_SIGMA_V_M = 10.0
+_LARGEST_SIGMA_V_M = 10.0
 """Of a height without prior in an adjustment. Chosen: a free one would cost each range its information."""
 EPOCH_TOLERANCE_S = 0.3
 """So far an earlier epoch may be from the time that is wanted. Chosen: one and a half of the 0.2 s between epochs."""
@@ -171,6 +171,20 @@ class Epoch:
             sqrt_information=np.array(sqrt_information),
             has_prior=has_prior,
         )
+
+
+def height_sigma_m(covariance: FloatArray) -> float:
+    """Return the 1-sigma that the height of an estimate (covariance (3, 3) or larger, m^2) has as a prior, m."""
+    return min(sqrt(float(covariance[2, 2])), _LARGEST_SIGMA_V_M)
+
+
+def range_jacobian(unit_vectors: FloatArray, ends: NDArray[np.intp], vehicles: int) -> FloatArray:
+    """Return H (..., residuals, 3 vehicles) for some unit vectors (..., residuals, 3); `ends` as in `EpochArrays`."""
+    rows = np.arange(unit_vectors.shape[-2])
+    H: FloatArray = np.zeros((*unit_vectors.shape[:-1], vehicles, 3))
+    H[..., rows, ends[0], :] = unit_vectors
+    H[..., rows, ends[1], :] = -unit_vectors
+    return H.reshape(*unit_vectors.shape[:-1], 3 * vehicles)
 
 
 Past = tuple[Epoch | None, float]

@@ -38,8 +38,10 @@ from gcs_coloc.core.integrity.epoch_tests.pair_outliers import cost_of_their_pai
 from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.core.stations.node_id import is_station
 
-_MAX_CANDIDATES = 8  # vehicles; chosen: bounds the number of subsets to 162
-_MAX_SUBSET = 4  # vehicles; chosen: with eight candidates that is half of them
+MAX_CANDIDATES = 8
+"""Vehicles of which some may be at fault together. Chosen: bounds the number of subsets to 162."""
+MAX_SUBSET = 4
+"""So many of them at most. Chosen: with eight candidates that is half of them."""
 _ALIKE_PENALTY = 3.2  # twice the log of 5: chosen, so much rarer is each further receiver spoofed alike; of four below the margin
 _UNLIKE_PENALTY = 13.8
 """Twice the log of 1000: chosen, so much rarer two receivers are off at once, each its own way."""
@@ -270,13 +272,13 @@ def _penalty(hypothesis: Hypothesis, troubled: frozenset[int]) -> float:
 def _candidates(now: Epoch, model: FaultModel) -> list[int]:
     """Return the reporting vehicles that may be at fault, by their place in the arrays.
 
-    Of more than `_MAX_CANDIDATES` vehicles these are the ones whose fault explains most.
+    Of more than `MAX_CANDIDATES` vehicles these are the ones whose fault explains most.
     """
     reporting = [at for at, vehicle in enumerate(model.arrays.vehicles) if not now.priors[vehicle].no_prior]
-    if len(reporting) <= _MAX_CANDIDATES:
+    if len(reporting) <= MAX_CANDIDATES:
         return reporting
     gains = model.linear_gains()
-    return sorted(sorted(reporting, key=lambda at: -gains[at])[:_MAX_CANDIDATES])
+    return sorted(sorted(reporting, key=lambda at: -gains[at])[:MAX_CANDIDATES])
 
 
 def _hypotheses(now: Epoch, model: FaultModel, candidates: Sequence[int]) -> list[Hypothesis]:
@@ -303,7 +305,7 @@ def _hypotheses(now: Epoch, model: FaultModel, candidates: Sequence[int]) -> lis
             )
 
     reporting = sum(not now.priors[vehicle].no_prior for vehicle in arrays.vehicles)
-    for size in range(1, min(reporting // 2, len(candidates), _MAX_SUBSET) + 1):
+    for size in range(1, min(reporting // 2, len(candidates), MAX_SUBSET) + 1):
         for subset in combinations(candidates, size):
             moved = np.isin(np.arange(model.vehicles), subset).astype(float)
             add(FaultKind.POSITIONS, tuple(arrays.vehicles[at] for at in subset), moved=moved)

@@ -33,10 +33,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gcs_coloc.core.integrity.epoch_tests.epoch import MIN_INFORMATION_PER_M2, Epoch, PositionPrior
+from gcs_coloc.core.integrity.epoch_tests.epoch import MIN_INFORMATION_PER_M2, Epoch, PositionPrior, range_jacobian
 from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels, chi2_limit
 from gcs_coloc.core.integrity.epoch_tests.pair_outliers import FURTHER_PAIR_PENALTY, Pair, pair_outliers, unordered, without_pairs
-from gcs_coloc.core.measurements import FloatArray
 
 _RANGE_BIASES_M = (1.0, 2.0, 4.0, 8.0)  # chosen: uncalibrated devices; beyond it the protection level is beyond the alert limit
 _DEVICE_SCALES = (0.002, 0.005, 0.01, 0.02)  # chosen: clocks and atmosphere 1e-5, devices that are set wrongly 1e-2
@@ -181,11 +180,7 @@ class Likelihood(NamedTuple):
 def restricted_likelihood(epoch: Epoch) -> Likelihood:
     """Return the likelihood of an epoch's residuals if there is no fault."""
     arrays = epoch.arrays
-    rows, vehicles = len(arrays.pairs), len(arrays.vehicles)
-    H: FloatArray = np.zeros((rows, vehicles, 3))
-    i, j = arrays.ends
-    H[np.arange(rows), i], H[np.arange(rows), j] = arrays.unit_vectors, -arrays.unit_vectors
-    H = H.reshape(rows, 3 * vehicles)
+    H = range_jacobian(arrays.unit_vectors, arrays.ends, len(arrays.vehicles))
     known = np.where(arrays.has_prior, 1.0 / arrays.sqrt_information, 0.0)
     V = arrays.range_covariance_m2 + (H * known**2) @ H.T
     A = H[:, arrays.states_without_prior]
@@ -195,7 +190,7 @@ def restricted_likelihood(epoch: Epoch) -> Likelihood:
     statistic = float(r @ Vr - (A.T @ Vr) @ np.linalg.solve(information, A.T @ Vr))
     unknowns = int(np.linalg.matrix_rank(A)) if A.size else 0
     cost = statistic + float(np.linalg.slogdet(V)[1]) + float(np.linalg.slogdet(information)[1])
-    return Likelihood(statistic, rows - unknowns, cost)
+    return Likelihood(statistic, len(r) - unknowns, cost)
 
 
 class LikeliestNoise(NamedTuple):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius
-from gcs_coloc.core.integrity.epoch_tests.epoch import MIN_INFORMATION_PER_M2, MIN_SIGMA_M, EpochArrays, Past
+from gcs_coloc.core.integrity.epoch_tests.epoch import MIN_INFORMATION_PER_M2, MIN_SIGMA_M, EpochArrays, Past, range_jacobian
 from gcs_coloc.core.measurements import FloatArray
 
 RANK_TOLERANCE = 1e-6  # smallest over largest eigenvalue that counts as not zero; chosen: far above rounding
@@ -116,14 +116,8 @@ class NormalEquations:
 
     def _solve(self, unit_vectors: FloatArray, residuals_m: FloatArray, without_prior: NDArray[np.intp]) -> FloatArray:
         """Solve the normal equations; return the variances of the states without prior, m^2."""
-        tests, _, rows, _ = unit_vectors.shape
-        vehicles = len(self._now.vehicles)
-        i, j = self._now.ends
-        number = np.arange(rows)
-        design: FloatArray = np.zeros((tests, 2, rows, vehicles, 3))
-        design[:, :, number, i] = unit_vectors
-        design[:, :, number, j] = -unit_vectors
-        H = design.reshape(tests, 2, rows, 3 * vehicles)
+        tests, vehicles = len(unit_vectors), len(self._now.vehicles)
+        H = range_jacobian(unit_vectors, self._now.ends, vehicles)
         self._transposed = H.transpose(0, 1, 3, 2)
         self._weighted_m = np.einsum("tabr,tbr->tar", self._weights, residuals_m)
         self._g: FloatArray = (self._transposed @ self._weighted_m[..., np.newaxis]).reshape(tests, 6 * vehicles)
