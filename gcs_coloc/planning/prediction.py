@@ -233,7 +233,7 @@ class _Recursion:
         """Adjust the ranges of the moment under all hypotheses of fault, as the integrity stage does."""
         s, a = RangeResidualSettings(), self._a
         count = max(a.range_rate_hz * s.window_s, 1.0)
-        noise_m = sqrt(a.range_sigma_m**2 * (_MEDIAN_VARIANCE_RATIO / count + s.coloured_share))
+        noise_m = sqrt(a.range_sigma_m**2 * (_MEDIAN_VARIANCE_RATIO / count + s.errors.coloured_share))
         priors: dict[int, PositionPrior] = {}
         residuals: list[RangeResidual] = []
         for sysid, where in located.items():
@@ -245,7 +245,7 @@ class _Recursion:
                     continue
                 priors[sysid] = PositionPrior(here[sysid], 0.0, sigma_v_m, no_prior=True)
                 priors.setdefault(node, self._prior(node, located, here))
-                residuals.append(RangeResidual(sysid, node, 0.0, noise_m, s.range_bias_m))
+                residuals.append(RangeResidual(sysid, node, 0.0, noise_m, s.errors.range_bias_m))
         separation = SolutionSeparation(Epoch(at_s, priors, tuple(residuals))) if residuals else None
         for sysid, where in located.items():
             if separation is not None and sysid in separation.vehicles:

@@ -18,6 +18,7 @@ import numpy as np
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior
 from gcs_coloc.core.integrity.epoch_tests.noise_model import AS_STATED, NoiseModel
 from gcs_coloc.core.integrity.fault_filters import FaultFilters, FaultFilterSettings, LineOfSightResidual
+from gcs_coloc.core.integrity.range_errors import RangeErrorSettings
 from gcs_coloc.core.measurements import FloatArray, RangeMeasurement, Vector3
 from gcs_coloc.core.setting_bounds import between, check_bounds, positive
 
@@ -43,11 +44,6 @@ class FaultMonitorSettings:
     """So many are detected that all others together are less likely than this. Chosen: one detection in a hundred may miss."""
     min_peers: int = between(3, 2)
     """With fewer peers nothing is tested. Source: a place has two unknowns; two ranges leave no redundancy."""
-    range_bias_m: float = between(0.3, 0.0, 100.0)
-    """1-sigma of the error that all ranges of a pair share, m. Source: lasting biases of 0.16 to 0.35 m in public
-    ultra-wideband data."""
-    coloured_share: float = between(0.1, 0.0, 1.0)
-    """Share of the stated variance of ranges that no averaging removes. Chosen: as `range_coloured_share` of the fleet filter."""
     filters: FaultFilterSettings = field(default_factory=FaultFilterSettings)
     """Of the fault filters of each denied vehicle."""
 
@@ -75,8 +71,9 @@ class FaultMonitor:
     Add ranges with the priors of both ends, then call `step`.
     """
 
-    def __init__(self, settings: FaultMonitorSettings | None = None) -> None:
+    def __init__(self, settings: FaultMonitorSettings | None = None, errors: RangeErrorSettings | None = None) -> None:
         self.settings = settings if settings is not None else FaultMonitorSettings()
+        self._errors = errors if errors is not None else RangeErrorSettings()
         self._filters: dict[int, FaultFilters] = {}
         self._ranges: dict[int, dict[int, _PeerRanges]] = {}
 
@@ -154,9 +151,9 @@ class FaultMonitor:
 
     def _residual(self, r: _PeerRanges, noise: NoiseModel) -> LineOfSightResidual:
         count = len(r.residuals_m)
-        coloured = self.settings.coloured_share * (1.0 - 1.0 / count)
+        coloured = self._errors.coloured_share * (1.0 - 1.0 / count)
         noise_m = median(r.sigmas_m) * sqrt(1.0 / count + coloured)
-        bias_m = hypot(self.settings.range_bias_m, noise.lasting_m(hypot(*r.baseline_m)))
+        bias_m = hypot(self._errors.range_bias_m, noise.lasting_m(hypot(*r.baseline_m)))
         unit, position_sigma_m = _line_of_sight(r.baseline_m, noise.prior(r.peer_prior), r.own_sigma_v_m, bias_m)
         return LineOfSightResidual(median(r.residuals_m), noise_m, position_sigma_m, unit)
 

@@ -117,7 +117,7 @@ class RangeConsistency:
         self.identified: dict[int, IdentifiedFault] = {}
         self.separation_m2: dict[int, FloatArray] = {}
         self.noise = NoiseModel()
-        self._fault_monitor = FaultMonitor(self.settings.fault_monitor)
+        self._fault_monitor = FaultMonitor(self.settings.fault_monitor, self.settings.residuals.errors)
         self._residuals = RangeResidualBuffer(self.settings.residuals, self._fault_monitor)
         self._decayed_m2: dict[int, FloatArray] = {}
         self._detection = Detection()

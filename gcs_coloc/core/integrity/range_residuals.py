@@ -17,6 +17,7 @@ from typing import NamedTuple
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual
 from gcs_coloc.core.integrity.epoch_tests.pair_outliers import Pair
 from gcs_coloc.core.integrity.fault_monitor import FaultMonitor
+from gcs_coloc.core.integrity.range_errors import RangeErrorSettings
 from gcs_coloc.core.measurements import RangeMeasurement, Vector3
 from gcs_coloc.core.setting_bounds import between, check_bounds, positive
 
@@ -46,11 +47,8 @@ class RangeResidualSettings:
     """With fewer there is no residual. Chosen: the median of three bears one outlier."""
     sparse_window_s: float = positive(3.0, most=60.0)
     """A sparse epoch takes any range of so long, s. Chosen: pairs that are ranged every second or two."""
-    range_bias_m: float = between(0.3, 0.0, 100.0)
-    """1-sigma of the error that all ranges of a pair share, m. Source: lasting biases of 0.16 to 0.35 m in public
-    ultra-wideband data."""
-    coloured_share: float = between(0.1, 0.0, 1.0)
-    """Share of the stated variance of ranges that no averaging removes. Chosen: as `range_coloured_share` of the fleet filter."""
+    errors: RangeErrorSettings = field(default_factory=RangeErrorSettings)
+    """What no averaging removes; the fault monitor has it too."""
 
     def __post_init__(self) -> None:
         check_bounds(self)
@@ -206,7 +204,7 @@ class RangeResidualBuffer:
         quarter = len(ordered) // 4
         spread_m = (ordered[-1 - quarter] - ordered[quarter]) / _QUARTILE_DISTANCE_SIGMAS
         noise_m2 = max(stated_m, spread_m) ** 2 * _MEDIAN_VARIANCE_RATIO / len(samples)
-        return RangeResidual(i, j, residual_m, sqrt(noise_m2 + s.coloured_share * stated_m**2), s.range_bias_m)
+        return RangeResidual(i, j, residual_m, sqrt(noise_m2 + s.errors.coloured_share * stated_m**2), s.errors.range_bias_m)
 
     def _compute_residuals(self, now_s: float) -> None:
         ready_s = now_s - self.settings.wait_s

@@ -13,11 +13,19 @@ from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels
 from gcs_coloc.core.integrity.fault_filters import FaultFilterSettings
 from gcs_coloc.core.integrity.fault_monitor import FaultMonitorSettings
 from gcs_coloc.core.integrity.range_consistency import ConsistencySettings
+from gcs_coloc.core.integrity.range_errors import RangeErrorSettings
 from gcs_coloc.core.integrity.range_residuals import RangeResidualSettings
 from gcs_coloc.core.setting_bounds import Bounds, check_bounds, field_bounds
 from tools.settings_reference import OF_EACH, PAGES, field_texts, written
 
-INTERNAL = (ConsistencySettings, FaultFilterSettings, FaultMonitorSettings, RangeResidualSettings, SignificanceLevels)
+INTERNAL = (
+    ConsistencySettings,
+    FaultFilterSettings,
+    FaultMonitorSettings,
+    RangeErrorSettings,
+    RangeResidualSettings,
+    SignificanceLevels,
+)
 """Settings of the core that no configuration file has: whoever tunes integrity finds what they are in the same way."""
 
 SECTIONS = {name: type(getattr(Settings(), name)) for name in Settings.model_fields if name not in ("links", "out", *OF_EACH)}
