@@ -252,7 +252,10 @@ class FleetClocks:
 
 
 def _has_room(ranging: dict[tuple[TimeBase, int], _RangeClock], now_s: float) -> bool:
-    """Return whether there is room for one more device; in a full table a silent one makes it, first of all an unproven one."""
+    """Return whether there is room for one more device.
+
+    In a full table a silent one makes it, first of all an unproven one.
+    """
     if len(ranging) < _MAX_RANGE_CLOCKS:
         return True
     silent = [key for key, device in ranging.items() if now_s - device.heard_at_s >= _SILENT_AFTER_S]

@@ -48,7 +48,7 @@ class Detection:
         self.vehicles = frozenset(self._possible_until_s.keys() | self._monitored_until_s.keys())
 
     def limit_to(self, vehicles: Collection[int], now_s: float) -> None:
-        """Have these vehicles alone of those of the tests of epochs: the ranges say of all others that they are right.
+        """Have these vehicles alone of what the tests of epochs show: they say that all others are right.
 
         What the fault monitor names goes on: it knows more of the past, and for some seconds an anchor less costs little.
         """

@@ -153,7 +153,7 @@ class FaultFilters:
         self._log_probability = _normalise(self._log_probability)
 
     def staying(self, at_s: float) -> list[int]:
-        """Return the peers that are in the filters and have had ranges recently enough to stay there at a time."""
+        """Return the peers whose ranges are recent enough that they stay in the filters at a time."""
         return [p for p, updated_s in self._updated_s.items() if at_s - updated_s <= self.settings.max_step_s]
 
     def exclude(self, excluded: Collection[int]) -> None:
@@ -189,7 +189,7 @@ class FaultFilters:
         return out
 
     def _regroup(self, peers: list[int]) -> None:
-        """Change the peers; the states and probabilities of those that remain are kept, and nothing of those that leave."""
+        """Change the peers; of those that remain states and probabilities are kept, of others nothing."""
         old, x, P, log_probability = self.peers, self._means, self._covariances, self._log_probability
         self.peers = peers
         for of_peer in (self._updated_s, self._position_sigma_m, self._noise):

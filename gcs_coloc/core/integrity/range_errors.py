@@ -1,4 +1,7 @@
-"""The errors of ranges that no averaging removes; the residuals of epochs and the fault monitor have the same."""
+"""The errors of ranges that no averaging removes.
+
+The residuals of epochs and the fault monitor have the same.
+"""
 
 from __future__ import annotations
 

@@ -232,7 +232,7 @@ class Stations:
         return ResolvedRange(None, self._notice(message, reason, text))
 
     def _notice(self, message: PeerRange, reason: CoreRefusal, text: str) -> Notice | None:
-        """Return a warning, None where it was given within the last minute, or as many others were as are kept."""
+        """Return a warning; None where it, or as many others as are kept, was given within a minute."""
         key, now_s = (reason, message.peer), message.received_at_s
         self._told = {each: told_s for each, told_s in self._told.items() if now_s - told_s < _TOLD_EVERY_S}
         if key in self._told or len(self._told) >= _MAX_TOLD:

@@ -174,12 +174,15 @@ class Epoch:
 
 
 def height_sigma_m(covariance: FloatArray) -> float:
-    """Return the 1-sigma that the height of an estimate (covariance (3, 3) or larger, m^2) has as a prior, m."""
+    """Return the 1-sigma of an estimate's height as a prior, m; `covariance` is (3, 3), m^2."""
     return min(sqrt(float(covariance[2, 2])), _LARGEST_SIGMA_V_M)
 
 
 def range_jacobian(unit_vectors: FloatArray, ends: NDArray[np.intp], vehicles: int) -> FloatArray:
-    """Return H (..., residuals, 3 vehicles) for some unit vectors (..., residuals, 3); `ends` as in `EpochArrays`."""
+    """Return H (..., residuals, 3 vehicles), the change of ranges with the positions of their ends.
+
+    `unit_vectors` are (..., residuals, 3), `ends` is as in `EpochArrays`.
+    """
     rows = np.arange(unit_vectors.shape[-2])
     H: FloatArray = np.zeros((*unit_vectors.shape[:-1], vehicles, 3))
     H[..., rows, ends[0], :] = unit_vectors
