@@ -1,4 +1,4 @@
-"""Pictures by matplotlib, which is an extra: they are drawn in memory and written as files, without a screen."""
+"""Drawing with matplotlib, which is an extra: figures in memory, written as files without a screen."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ _AXES_95 = 2.4477
 _VEHICLE_SHOWN_S = 2
 """Chosen: five entries of a vehicle; then it leaves the scene."""
 _RANGE_SHOWN_S = 1  # chosen: some rounds of ranges
-_SHOWN_FOR_GOOD_S = 0  # source: foxglove.SceneEntity; a station has an entry only when something of it changes
+_STATION_SHOWN_S = 0  # for good (foxglove.SceneEntity): it has an entry only when something of it changes
 _COLOURS = {
     "healthy": (0.11, 0.62, 0.33),
     "suspect": (0.85, 0.6, 0.0),
@@ -114,7 +114,7 @@ class FoxgloveMessages:
             return
         self._enu_m[station.node] = station.enu_m
         label = node_name(station.node)
-        entity = _entity(at_s, label, _SHOWN_FOR_GOOD_S)
+        entity = _entity(at_s, label, _STATION_SHOWN_S)
         entity["texts"] = [_label(station.enu_m, station.name or label, _colour(*_NO_COLOUR))]
         yield "/scene", "foxglove.SceneUpdate", {"deletions": [], "entities": [entity]}
 
