@@ -196,7 +196,7 @@ class _Switch:
         """Whether its own receiver is out of use by our doing, or may be."""
         return self.step in (SwitchStep.SETTING, SwitchStep.OURS, SwitchStep.RESTORING)
 
-    def begin(self, step: SwitchStep, due_s: float) -> None:
+    def begin_step(self, step: SwitchStep, due_s: float) -> None:
         """Begin a step, or its tries anew."""
         self.step, self.due_s, self.tries, self.answer = step, due_s, 0, None
 
@@ -267,12 +267,12 @@ class ReceiverSwitch:
             if not switch.is_held:
                 del self._switches[sysid]
                 return []
-            switch.begin(SwitchStep.RESTORING, now_s)
+            switch.begin_step(SwitchStep.RESTORING, now_s)
         if switch.step in (SwitchStep.OURS, SwitchStep.LEFT) or now_s < switch.due_s:
             return []
         if switch.tries >= _TRIES:
             text = f"{switch.receiver.wording(switch.step, switch.answer)}; tried again in {_TRY_AGAIN_S:g} s"
-            switch.begin(switch.step, now_s + _TRY_AGAIN_S)
+            switch.begin_step(switch.step, now_s + _TRY_AGAIN_S)
             return [Notice(now_s, sysid, "error", text)]
         switch.tries, switch.due_s = switch.tries + 1, now_s + RETRY_S
         return [switch.receiver.order(switch.step)]
@@ -290,7 +290,7 @@ class ReceiverSwitch:
         if following is _DONE:
             del self._switches[message.sysid]
         else:
-            switch.begin(following, message.received_at_s)
+            switch.begin_step(following, message.received_at_s)
         if level is None:
             return []
         return [Notice(message.received_at_s, message.sysid, level, switch.receiver.wording(step, answer))]
