@@ -10,7 +10,7 @@ import pytest
 
 from gcs_coloc.config.service_sections import MqttConfig, WebConfig
 from gcs_coloc.service.watch import Watch
-from gcs_coloc.sinks.console import SharedConsole
+from gcs_coloc.sinks.terminal import SharedConsole
 
 PATIENCE_S = 60.0
 

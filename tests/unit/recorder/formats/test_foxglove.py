@@ -117,7 +117,7 @@ def test_a_range_is_a_line_between_the_two_that_are_known(read):
     assert {"key": "refused", "value": "an outlier"} in refused["metadata"]
 
 
-def test_a_station_never_leaves_the_scene_and_its_ranges_end_there(read):
+def test_a_station_never_leaves_the_picture_and_its_ranges_lead_to_it(read):
     entities = {one["id"]: one for _, _, update in read["/scene"] for one in update["entities"]}
     assert {name for name in entities if name.startswith("station")} == {"station 3"}
     [label] = entities["station 3"]["texts"]
