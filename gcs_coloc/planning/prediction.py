@@ -216,7 +216,7 @@ class _Recursion:
         return [self._filter.main, *(each.model for each in self._filter.hypotheses.values())]
 
     def _known_records(self, sysid: int) -> list[VehicleRecord]:
-        """Return the records of a vehicle in all models, for changing; its gusts and manoeuvres are as the settings have them."""
+        """Return the records of a vehicle in all models, with gusts and manoeuvres as the settings have them."""
         self._filter.main.records.writable(sysid)
         records = [model.records.writable(sysid) for model in self._models() if sysid in model.records]
         for record in records:

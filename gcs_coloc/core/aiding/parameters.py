@@ -18,7 +18,10 @@ _FRESH_S = 30.0  # chosen: somebody else may change a parameter in flight; one q
 
 @dataclass(slots=True)
 class _PendingRequest:
-    """A request. `is_over`: it was answered, or repeated in vain; from `due_s` on it may then be made anew."""
+    """A request. `is_over`: it was answered, or repeated in vain.
+
+    From `due_s` on it may then be made anew.
+    """
 
     due_s: float
     tries: int = 0

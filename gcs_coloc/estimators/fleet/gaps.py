@@ -80,7 +80,7 @@ def untold_motion(record: VehicleRecord, s: FleetSettings, at_s: float) -> Float
 
 
 def decide_unshown_motion(cluster: Cluster, vehicle: int, result: UpdateResult, m: RangeMeasurement) -> None:
-    """Decide by a range on what a vehicle may have done in its last gap: rule it out, or add it to the covariance."""
+    """Rule out by a range what a vehicle may have done in its last gap, or add it to the covariance."""
     record, at_s = cluster.records[vehicle], m.measured_at_s
     if record.unshown is None or result.degrees_of_freedom == 0:
         return

@@ -102,7 +102,7 @@ class PeerTrack:
         return 0.0 if self.static else at_s - self.position_at_s
 
     def height_variance_m2(self, at_s: float) -> float:
-        """Return the variance of its height at a time, m^2, with the part that lasts; infinite without a height."""
+        """Return the variance of its height at a time, m^2, with the part that lasts; else infinite."""
         return math.inf if self.vertical is None else float(self.vertical.predicted(at_s)[1][0, 0]) + self.sigma_v_m**2
 
     def start(self, measurement: PositionMeasurement) -> None:

@@ -68,7 +68,10 @@ def station_points(history: FlightHistory) -> Iterator[tuple[tuple[float, float,
 
 
 def _ellipses(track: Sequence[VehicleEntry]) -> Iterator[tuple[str, Any, dict[str, Any]]]:
-    """The ellipses of the entries without GPS. A stretch of the track is no guide: it ends with the first entry of the next."""
+    """The ellipses of the entries without GPS.
+
+    A stretch of the track is no guide: it ends with the first entry of the next.
+    """
     due_s = float("-inf")
     for entry in track:
         is_due = entry.vehicle.gps_state in WITHOUT_GPS and entry.at_s >= due_s

@@ -195,7 +195,7 @@ def _other_peers(cluster: Cluster, denied_vehicle: int, neighbour: int, at_s: fl
 def _fits_reflection(
     cluster: Cluster, denied_vehicle: int, other: int, peers: frozenset[int], result: UpdateResult, m: RangeMeasurement
 ) -> bool:
-    """Return whether a range with `other` fits on the other side of the vertical plane through two `peers`."""
+    """Return whether a range with `other` fits on the other side of the plane through two `peers`."""
     plane = vertical_plane_through(cluster, denied_vehicle, sorted(peers), m.measured_at_s) if len(peers) == 2 else None
     if plane is None:
         return False
