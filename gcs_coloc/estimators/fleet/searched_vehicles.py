@@ -102,6 +102,7 @@ def search_with_range(
     if place is None:
         return Outcome.SEARCHING
     clusters.initialise(vehicle, *place, at_s)
+    # The search gave `unshown` one in twenty alone, so it stays until ranges rule it out.
     record.search = record.attitude = None
     record.forget_tests()
     record.manoeuvre = ManoeuvreDetector()
