@@ -126,7 +126,6 @@ def test_parts_turn_over_by_size_join_to_the_whole_and_begin_with_what_was_told(
     recorder.add_record(OperatorCommand(4, AT_S, GpsOverride.FAILED))
     recorder.add_record(RouteReport(3, AT_S, None))
     recorder.add_record(RouteReport(3, AT_S, None))
-    recorder.add_entry(StationEntry(AT_S, MAST))
     for number, frame in enumerate(frames):
         recorder.add_frame(AT_S + number * 0.01, frame)
     recorder.close()
@@ -134,9 +133,6 @@ def test_parts_turn_over_by_size_join_to_the_whole_and_begin_with_what_was_told(
     assert len(parts) > 3
     assert [p.stem for p in sorted(tmp_path.glob("*.mcap"))] == [p.stem for p in parts]
     assert all(p.stat().st_size < 20_000 + 200 * 60 for p in parts)
-    for path in tmp_path.glob("*.mcap"):
-        with path.open("rb") as file:
-            assert [channel.topic for _, channel, _ in make_reader(file).iter_messages()] == ["/station", "/scene"]
     heard = []
     for part in parts:
         records = list(TlogReader(part))
@@ -144,6 +140,20 @@ def test_parts_turn_over_by_size_join_to_the_whole_and_begin_with_what_was_told(
         heard += [record for record in records if read_side_channel(record.frame, 0.0, OWN) is None]
     assert [record.frame for record in heard] == frames
     assert heard[5].unix_s == round((AT_S + 0.05) * 1e6) / 1e6
+
+
+def test_every_part_tells_of_the_stations(tmp_path):
+    recorder = Recorder(tmp_path, 1, *OWN)
+    recorder.open()
+    recorder.add_entry(StationEntry(AT_S, MAST))
+    for number in range(200):  # with the entry one more than a batch
+        recorder.add_frame(AT_S + number * 0.01, attitude(sender(), number))
+    recorder.close()
+    parts = sorted(tmp_path.glob("*.mcap"))
+    assert len(parts) == 2
+    for part in parts:
+        with part.open("rb") as file:
+            assert [channel.topic for _, channel, _ in make_reader(file).iter_messages()] == ["/station", "/scene"]
 
 
 def test_a_disk_that_hangs_is_told_in_one_line_and_what_waits_is_bounded(tmp_path, monkeypatch):
