@@ -103,6 +103,7 @@ class FleetReview:
     def add_residuals(self, residuals: Iterable[Residual], now_s: float) -> None:
         """Add what the estimator made of ranges since the last call."""
         residuals = list(residuals)
+        self._stages.integrity.add_residuals(residuals)
         self._stages.vetted.add_residuals(residuals, self._is_trusted_node)
         self.residuals.add(residuals, now_s)
         self._jumps.add(residuals, now_s)

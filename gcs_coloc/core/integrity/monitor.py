@@ -9,7 +9,7 @@ and an identified vehicle is readmitted only after its receiver has agreed with 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
@@ -27,7 +27,7 @@ from gcs_coloc.core.integrity.range_residuals import TrackPoint
 from gcs_coloc.core.integrity.reacquisition import ReacquisitionMonitor
 from gcs_coloc.core.integrity.report import FaultReason, IntegrityReport, PositionFault, ReviewedVehicle
 from gcs_coloc.core.integrity.solution_separation import SolutionSeparation, range_excess_m2
-from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeasurement
+from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeasurement, Residual
 from gcs_coloc.core.stations.node_id import is_station
 
 _STATION_RIGHT_S = 60.0  # chosen: nothing moves a station back; ranges that fit it for less passed it where they show nothing
@@ -74,6 +74,12 @@ class IntegrityMonitor:
         """Add a range between two vehicles, or a vehicle and a station."""
         self._consistency.add_range(measurement)
         self._reacquisition.add_range(measurement)
+
+    def add_residuals(self, residuals: Iterable[Residual]) -> None:
+        """Add what the estimator made of ranges: those that it selects are tested before others."""
+        for residual in residuals:
+            if residual.to_vehicle is not None:
+                self._consistency.add_selected((residual.from_vehicle, residual.to_vehicle), residual.measured_at_s)
 
     def review(self, now_s: float, vehicles: Sequence[ReviewedVehicle], frame: LocalFrame | None) -> IntegrityReport:
         """Test what was added up to now (service time, s). Without a frame there is no position to test."""

@@ -23,6 +23,7 @@ from gcs_coloc.core.integrity.epoch_tests.fault_tests import FaultTestResult, Si
 from gcs_coloc.core.integrity.epoch_tests.inconsistency import explain_inconsistency
 from gcs_coloc.core.integrity.epoch_tests.isolation import Isolation, IsolationPersistence, isolate
 from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel, clearly_smaller_noise
+from gcs_coloc.core.integrity.epoch_tests.pair_outliers import Pair
 from gcs_coloc.core.integrity.fault_monitor import FaultMonitor, FaultMonitorSettings
 from gcs_coloc.core.integrity.range_residuals import RangeResidualBuffer, RangeResidualSettings, TrackPoint
 from gcs_coloc.core.integrity.solution_separation import noise_excess_m2
@@ -161,6 +162,10 @@ class RangeConsistency:
         """Add a range; its residual is computed once the positions of its time have arrived."""
         self._residuals.add_range(measurement)
 
+    def add_selected(self, pair: Pair, measured_at_s: float) -> None:
+        """Add that the estimator used or refused a range of a pair."""
+        self._residuals.add_selected(pair, measured_at_s)
+
     def ranged_at_s(self, vehicle: int) -> float | None:
         """Return the time of the newest range of a vehicle, in s; None where there is none of late."""
         return self._residuals.ranged_at_s(vehicle)
@@ -180,7 +185,7 @@ class RangeConsistency:
         if now_s < self._due_s:
             return
         self._due_s = now_s + self.settings.period_s - SAME_S
-        whole, left = self._residuals.epoch(now_s), self.noise.after(self.settings.period_s)
+        whole, left = self._residuals.epoch(now_s, self._detection.vehicles), self.noise.after(self.settings.period_s)
         tests = self._test(whole, left)
         self.noise = explain_inconsistency(whole, tests.results.get(0.0), left, self.settings.levels, doubtful)
         if self.noise.pairs_off:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, insort
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from math import dist, sqrt
 from statistics import median
@@ -25,7 +25,8 @@ _MAX_POINTS = 64  # of a track: six seconds at 10 Hz
 _MAX_SAMPLES = 64  # of a pair
 _MAX_PENDING = 20_000  # chosen: bounds the memory of a flood
 _MAX_EXTRAPOLATION_S = 0.6  # chosen: a turn at 1 g is off by 2 m after it
-_MAX_PEERS_PER_DEVICE = 8  # chosen: bounds the size of the adjustment
+_MAX_PEERS_PER_DEVICE = 8  # chosen: bounds the size of the adjustment; as many as the fleet filter uses
+_SELECTED_S = 5.0  # chosen: an estimator that changes its peers every two seconds has ranged those of the last choice since
 _MIN_DISTANCE_M = 1.0  # below it the direction of a range is noise
 _MEDIAN_VARIANCE_RATIO = 1.57  # pi / 2: variance of a Gaussian sample's median over that of its mean
 _QUARTILE_DISTANCE_SIGMAS = 1.35  # distance of a Gaussian's quartiles, in sigmas
@@ -119,6 +120,8 @@ class RangeResidualBuffer:
     _pending: deque[RangeMeasurement] = field(default_factory=lambda: deque(maxlen=_MAX_PENDING))
     _samples: dict[Pair, list[_Sample]] = field(default_factory=dict)
     _pairs: frozenset[Pair] = frozenset()
+    _selected_s: dict[Pair, float] = field(default_factory=dict)
+    _detected: frozenset[int] = frozenset()
 
     def add_position(self, vehicle: int, point: TrackPoint) -> None:
         """Add a vehicle's position. When it gains or loses its prior, its residuals so far are dropped."""
@@ -140,6 +143,10 @@ class RangeResidualBuffer:
         """Add a range; its residual is computed once the positions of its time have arrived."""
         self._pending.append(measurement)
 
+    def add_selected(self, pair: Pair, measured_at_s: float) -> None:
+        """Add that the estimator used or refused a range of a pair: it is to be tested before others."""
+        self._selected_s[pair] = measured_at_s
+
     def ranged_at_s(self, vehicle: int) -> float | None:
         """Return the time of the newest range to or from a vehicle, in s; None where there is none.
 
@@ -147,12 +154,17 @@ class RangeResidualBuffer:
         """
         return max((samples[-1][0] for pair, samples in self._samples.items() if vehicle in pair), default=None)
 
-    def epoch(self, now_s: float) -> Epoch:
-        """Return the epoch in the middle of the window that ends `wait_s` ago."""
+    def epoch(self, now_s: float, detected: Collection[int] = ()) -> Epoch:
+        """Return the epoch in the middle of the window that ends `wait_s` ago.
+
+        Ranges to `detected` vehicles stay in it: the estimator selects them no more, and untested they would be trusted again.
+        """
         self._compute_residuals(now_s)
         s = self.settings
         oldest_s = now_s - s.wait_s - s.max_window_s
         dense = {pair: [sample for sample in samples if sample[0] > oldest_s] for pair, samples in self._samples.items()}
+        self._selected_s = {pair: at_s for pair, at_s in self._selected_s.items() if now_s - at_s <= _SELECTED_S}
+        self._detected = frozenset(detected)
         epoch = self._epoch(dense, now_s, s.min_ranges)
         self._pairs = frozenset(residual.pair for residual in epoch.residuals)
         return epoch
@@ -169,8 +181,8 @@ class RangeResidualBuffer:
     def _epoch(self, ranges: Mapping[Pair, list[_Sample]], now_s: float, min_ranges: int) -> Epoch:
         """Return the epoch of some ranges.
 
-        Of a device with too many peers those count that did in the last dense epoch, and then those with the most ranges: forged
-        ones push nobody out.
+        Of a device with too many peers the detected ones count, and eight others: those that the estimator selects, then those
+        that did in the last dense epoch, and then those with the most ranges. Forged ones push nobody out.
         """
         s = self.settings
         middle_s = now_s - s.wait_s - 0.5 * s.window_s
@@ -187,7 +199,8 @@ class RangeResidualBuffer:
             if len(samples) >= min_ranges and apart_m >= _MIN_DISTANCE_M:
                 usable[i, j] = samples
         per_device: Counter[int] = Counter()
-        for pair in sorted(usable, key=lambda pair: (pair not in self._pairs, -len(usable[pair]))):
+        others = [pair for pair in usable if self._detected.isdisjoint(pair)]
+        for pair in sorted(others, key=lambda pair: (pair not in self._selected_s, pair not in self._pairs, -len(usable[pair]))):
             per_device[pair[0]] += 1
             if per_device[pair[0]] > _MAX_PEERS_PER_DEVICE:
                 del usable[pair]

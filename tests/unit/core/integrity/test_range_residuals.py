@@ -71,7 +71,7 @@ def test_the_newest_and_the_oldest_range_are_so_by_their_time_and_not_by_their_a
 def test_of_many_peers_eight_count_and_those_that_did_before_go_on():
     residuals, known = RangeResidualBuffer(), range(60, 66)
 
-    def second(from_s, ranges):
+    def second(from_s, ranges, detected=()):
         """Add a second of standing vehicles and of so many ranges of vehicle 1 to each peer; return who is in the epochs."""
         for t in (from_s, from_s + 0.5, from_s + 1.0):
             for vehicle in (1, *ranges):
@@ -81,10 +81,25 @@ def test_of_many_peers_eight_count_and_those_that_did_before_go_on():
             for t in np.linspace(from_s + 0.1, from_s + 1.0, count).tolist():
                 residuals.add_range(RangeMeasurement(1, peer, t, t, APART_M * abs(peer - 1), 1.0))
         now_s = from_s + 1.2
-        dense = residuals.epoch(now_s)
+        dense = residuals.epoch(now_s, detected)
         assert dense.priors.keys() == {v for r in dense.residuals for v in r.pair}
         return [{r.to_vehicle for r in epoch.residuals} for epoch in (dense, residuals.sparse_epoch(now_s, dense))]
 
     assert second(0.0, dict.fromkeys(known, 5)) == [set(known)] * 2
     more = dict.fromkeys(range(-20, 0), 6) | dict.fromkeys((70, 71), 9)
     assert second(1.0, dict.fromkeys(known, 5) | more) == [{*known, 70, 71}] * 2
+    # What the estimator goes by comes before all others: what is not tested may be off unseen.
+    for peer in (-3, -7):
+        residuals.add_selected((1, peer), 2.5)
+    for epoch in second(2.0, dict.fromkeys(known, 5) | more):
+        assert len(epoch) == 8
+        assert {-3, -7} < epoch < {-3, -7, *known, 70, 71}
+    # A vehicle that is detected is selected no more: it would be trusted again if it were not tested.
+    for epoch in second(3.0, dict.fromkeys(known, 5) | more, detected={-9}):
+        assert len(epoch) == 9
+        assert -9 in epoch
+    # Six seconds later it has long selected others.
+    for s in range(4, 8):
+        last = second(float(s), dict.fromkeys(known, 5))
+    assert second(8.0, dict.fromkeys(known, 5) | more) == [{*known, 70, 71}] * 2
+    assert last == [set(known)] * 2
