@@ -199,7 +199,7 @@ class RangeResidualBuffer:
             if len(samples) >= min_ranges and apart_m >= _MIN_DISTANCE_M:
                 usable[i, j] = samples
         per_device: Counter[int] = Counter()
-        others = [pair for pair in usable if self._detected.isdisjoint(pair)]
+        others = [pair for pair in usable if pair[1] not in self._detected]
         for pair in sorted(others, key=lambda pair: (pair not in self._selected_s, pair not in self._pairs, -len(usable[pair]))):
             per_device[pair[0]] += 1
             if per_device[pair[0]] > _MAX_PEERS_PER_DEVICE:

@@ -98,8 +98,10 @@ def test_of_many_peers_eight_count_and_those_that_did_before_go_on():
     for epoch in second(3.0, dict.fromkeys(known, 5) | more, detected={-9}):
         assert len(epoch) == 9
         assert -9 in epoch
+    # One that is detected ranges no more of its peers in the tests than others do.
+    assert [len(epoch) for epoch in second(4.0, dict.fromkeys(known, 5) | more, detected={1})] == [8, 8]
     # Six seconds later it has long selected others.
-    for s in range(4, 8):
+    for s in range(5, 8):
         last = second(float(s), dict.fromkeys(known, 5))
     assert second(8.0, dict.fromkeys(known, 5) | more) == [{*known, 70, 71}] * 2
     assert last == [set(known)] * 2
