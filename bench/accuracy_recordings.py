@@ -9,7 +9,7 @@ from gcs_coloc.core.engine import Engine
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.evaluation.evaluate import evaluate
 from gcs_coloc.recorder import replay as driver
-from gcs_coloc.recorder.reports.flight_report import FlightReport
+from gcs_coloc.recorder.flight_report import FlightReport
 from gcs_coloc.recorder.side_tables import read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
 

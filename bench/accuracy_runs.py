@@ -17,7 +17,8 @@ from bench.accuracy_flights import Case, Recording, record
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.measurements import Estimate, FloatArray, Measurement, NoEstimate
 from gcs_coloc.estimators.registry import load_estimator
-from gcs_coloc.runtime.tasks import Result, Task, Workers, run_tasks
+from gcs_coloc.runtime.pool import Result, Task
+from gcs_coloc.runtime.tasks import Workers, run_tasks
 
 
 class Locator(Protocol):

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from bench.traffic import Sent
+from gcs_coloc.core.deadlines import advance
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.control import ClockReference, RouteReport
 from gcs_coloc.core.messages.outbound import ToVehicle
-from gcs_coloc.core.schedule import advance
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.encoder import Encoder

@@ -13,6 +13,7 @@ from itertools import pairwise
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.clocks.vehicle_clocks import DuplicateIdDetector
+from gcs_coloc.core.deadlines import advance
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.control import RouteReport
 from gcs_coloc.core.messages.inbound import (
@@ -27,7 +28,6 @@ from gcs_coloc.core.messages.inbound import (
     TimeSyncAnswer,
 )
 from gcs_coloc.core.messages.outbound import ParameterRequest, Stream, TimeSyncRequest, ToVehicle
-from gcs_coloc.core.schedule import advance
 from gcs_coloc.core.stations.stations import Stations
 from gcs_coloc.core.telemetry.stream_requests import HeardStreams, StreamRequests
 from gcs_coloc.doctor.finding import FleetSurvey, VehicleSurvey

@@ -11,12 +11,12 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from copy import deepcopy
 from dataclasses import asdict, dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gcs_coloc import __version__
 from gcs_coloc.core.estimator import Estimator
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
@@ -89,7 +89,7 @@ class Evaluation:
     def as_dict(self) -> dict[str, Any]:
         """Return the figures as plain values, for JSON."""
         return {
-            "version": __version__,
+            "version": version("gcs-coloc"),
             "dataset": self.dataset,
             "dims": self.dims,
             "estimator": self.estimator,

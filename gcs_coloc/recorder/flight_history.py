@@ -27,9 +27,9 @@ from gcs_coloc.core.station_review import StationSnapshot
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.evaluation.data_checks.findings import DataFinding
 from gcs_coloc.evaluation.data_checks.recorded_data import RecordedData
+from gcs_coloc.recorder.flight_report import FlightReport, MeasurementTap
 from gcs_coloc.recorder.journal import Journal, RangeEntry, StationEntry, VehicleEntry
 from gcs_coloc.recorder.replay import Replay, ReplayCounts, replay
-from gcs_coloc.recorder.reports.flight_report import FlightReport, MeasurementTap
 from gcs_coloc.recorder.side_tables import read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
 

@@ -12,11 +12,11 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from gcs_coloc.core.deadlines import Overrun, advance
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.control import ClockReference, OperatorCommand, RouteReport, TransmitDisabled
 from gcs_coloc.core.messages.inbound import Inbound, PeerRange
 from gcs_coloc.core.messages.outbound import Outbound
-from gcs_coloc.core.schedule import Overrun, advance
 from gcs_coloc.mavlink.decoder import Decoder, HeardTruth, truth_of
 from gcs_coloc.mavlink.framing import OWN_COMPID, OWN_SYSID, RawFrame, sender_of
 from gcs_coloc.recorder.side_channel import FlownWith, GroundTool, ReadRecord, read_side_channel

@@ -15,6 +15,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from gcs_coloc.core.deadlines import Overrun
 from gcs_coloc.core.messages.control import (
     AidingOverride,
     ClockReference,
@@ -30,7 +31,6 @@ from gcs_coloc.core.messages.control import (
     SwitchedReceiver,
 )
 from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
-from gcs_coloc.core.schedule import Overrun
 from gcs_coloc.mavlink.framing import MAGIC_V2, read_frame
 
 _OVERRIDES: dict[str, type[GpsOverride] | type[AidingOverride] | type[PrimaryOverride]] = {

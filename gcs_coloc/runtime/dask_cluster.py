@@ -14,9 +14,9 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from gcs_coloc.core.errors import ClusterError, UsageError
+from gcs_coloc.runtime.pool import Pool, Result, Task
 from gcs_coloc.runtime.process import collect_seldom
 from gcs_coloc.runtime.program import program_versions
-from gcs_coloc.runtime.tasks import Pool, Result, Task
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -10,8 +10,6 @@ from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
-import gcs_coloc
-
 _COMPUTES = ("numpy", "scipy")
 """Packages whose version may change a result in its last bits."""
 
@@ -59,7 +57,7 @@ def program_versions() -> dict[str, str]:
     These are gcs-coloc, its source's digest, Python, and the packages that do the arithmetic.
     """
     return {
-        "gcs-coloc": gcs_coloc.__version__,
+        "gcs-coloc": version("gcs-coloc"),
         "source": program_digest(),
         "Python": ".".join(platform.python_version_tuple()[:2]),
         **{name: version(name) for name in _COMPUTES},

@@ -11,26 +11,19 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import multiprocessing
-import os
 import pickle
-import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
-from typing import Protocol, TypeVar, cast
+from typing import cast
 
 from gcs_coloc.core.errors import TaskError, UsageError
 from gcs_coloc.runtime.output_paths import make_output_directory
-from gcs_coloc.runtime.process import collect_seldom
+from gcs_coloc.runtime.pool import Pool, ProcessPool, Result, Task
 from gcs_coloc.runtime.program import program_versions
-
-Task = TypeVar("Task")
-Result = TypeVar("Result")
 
 Progress = Callable[[int, int], None]
 """Called with how many of how many tasks are done."""
@@ -52,22 +45,6 @@ class Workers:
 
     jobs: int = 1
     scheduler: str | None = None
-
-
-class Pool(Protocol):
-    """A pool that runs tasks. It is a context; leaving it ends what is still running."""
-
-    def capacity(self) -> int:
-        """Return how many tasks may be submitted and not done; it may change."""
-        ...
-
-    def submit(self, function: Callable[[Task], Result], task: Task) -> Future[Result]:
-        """Have a task done. Raises BrokenExecutor where the pool has to be restarted."""
-        ...
-
-    def restart(self) -> None:
-        """Begin anew after a future ended with BrokenExecutor."""
-        ...
 
 
 def run_tasks(
@@ -129,7 +106,7 @@ def _completed(function: Callable[[Task], Result], tasks: Iterable[Task], worker
     again: deque[tuple[int, Task]] = deque()
     pending: dict[Future[Result], tuple[int, Task]] = {}
     deaths, was_told = 0, False
-    with _open(workers) as pool:
+    with _open_pool(workers) as pool:
         while True:
             is_broken = False
             capacity = pool.capacity()
@@ -161,57 +138,13 @@ def _completed(function: Callable[[Task], Result], tasks: Iterable[Task], worker
             was_told = not capacity
 
 
-def _open(workers: Workers) -> AbstractContextManager[Pool]:
+def _open_pool(workers: Workers) -> AbstractContextManager[Pool]:
     if workers.scheduler is None:
-        return _Processes(workers.jobs)
+        return ProcessPool(workers.jobs)
     # Here, because the package is an extra, and takes a second to import.
     from gcs_coloc.runtime.dask_cluster import connect
 
     return connect(workers.scheduler)
-
-
-def _begin_worker() -> None:
-    """Initialise a worker process: it ends as soon as the program that started it has ended.
-
-    Its task may go on for minutes, and nobody wants it then. Its garbage collection is that of the program.
-    """
-    collect_seldom()
-    program = multiprocessing.parent_process()
-    assert program is not None
-
-    def wait_for_its_end() -> None:
-        program.join()
-        os._exit(1)
-
-    threading.Thread(target=wait_for_its_end, daemon=True).start()
-
-
-class _Processes:
-    """Processes of this machine."""
-
-    def __init__(self, jobs: int) -> None:
-        self._jobs = jobs
-        self._executor = self._begin()
-
-    def __enter__(self) -> Pool:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self._executor.shutdown(cancel_futures=True)
-
-    def capacity(self) -> int:
-        return self._jobs
-
-    def submit(self, function: Callable[[Task], Result], task: Task) -> Future[Result]:
-        return self._executor.submit(function, task)
-
-    def restart(self) -> None:
-        self._executor.shutdown()
-        self._executor = self._begin()
-
-    def _begin(self) -> Executor:
-        # A forked child would inherit the locks of whatever threads its parent has.
-        return ProcessPoolExecutor(self._jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_begin_worker)
 
 
 class KeptResults:

@@ -12,6 +12,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from gcs_coloc.config.settings import Settings
+from gcs_coloc.core.deadlines import advance, find_overrun, without_superseded
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.control import (
     HOST_LATE_S,
@@ -26,7 +27,6 @@ from gcs_coloc.core.messages.control import (
 )
 from gcs_coloc.core.messages.inbound import PeerRange
 from gcs_coloc.core.messages.outbound import Notice, Outbound, ParameterSet, ToVehicle
-from gcs_coloc.core.schedule import advance, find_overrun, without_superseded
 from gcs_coloc.core.standby.sign_of_life import StandbyOrder
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.links.base import Address, Link

@@ -8,8 +8,8 @@ from recordings import recording
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.recorder.flight_report import FlightReport
 from gcs_coloc.recorder.replay import Replay
-from gcs_coloc.recorder.reports.flight_report import FlightReport
 from gcs_coloc.recorder.side_tables import read_truth
 from gcs_coloc.recorder.tlog import TlogReader
 

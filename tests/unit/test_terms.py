@@ -95,7 +95,6 @@ VAGUE_VERBS = frozenset(["ask", "begin", "distrust", "give", "look", "say", "set
 OTHERS_VERBS = {
     "gcs_coloc/core/integrity/reacquisition.py": {"_begin"},
     "gcs_coloc/recorder/formats/mcap_file.py": {"tell"},
-    "gcs_coloc/runtime/tasks.py": {"_begin"},
 }
 """What a file of Python has to be called, and two private functions that are still to be renamed."""
 

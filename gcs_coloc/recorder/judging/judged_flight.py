@@ -17,9 +17,9 @@ from gcs_coloc.core.messages.outbound import Notice, Outbound
 from gcs_coloc.core.schedule import SAME_S
 from gcs_coloc.core.snapshot import VehicleSnapshot
 from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.recorder.flight_report import FlightReport
 from gcs_coloc.recorder.judging.recordings_below import FoundRecording
 from gcs_coloc.recorder.replay import Replay, replay
-from gcs_coloc.recorder.reports.flight_report import FlightReport
 from gcs_coloc.recorder.side_tables import read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
 

@@ -1,1 +1,1 @@
-"""What a replayed flight came to: scores, data-quality findings, and one HTML page with plots."""
+"""What a flight came to, as one HTML page with plots."""

@@ -8,11 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gcs_coloc.core.deadlines import advance
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.control import GpsOverride, OperatorCommand, RouteReport
 from gcs_coloc.core.messages.inbound import Autopilot, Heartbeat
 from gcs_coloc.core.messages.outbound import GpsInput
-from gcs_coloc.core.schedule import TickSchedule, advance
+from gcs_coloc.core.schedule import TickSchedule
 from gcs_coloc.estimators.registry import load_estimator
 
 UNIX_S = 1_780_000_000.0

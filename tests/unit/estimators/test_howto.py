@@ -10,8 +10,8 @@ from fleet_in_flight import Fleet
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.measurements import Estimate, NoEstimate
 from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.recorder.flight_report import FlightReport
 from gcs_coloc.recorder.replay import Replay, replay
-from gcs_coloc.recorder.reports.flight_report import FlightReport
 from gcs_coloc.recorder.side_tables import read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
 from tests.recordings import recording

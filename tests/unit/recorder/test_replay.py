@@ -11,17 +11,17 @@ import pytest
 
 from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.aiding.settings import AidingSettings
+from gcs_coloc.core.deadlines import advance, find_overrun
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.messages.control import ClockReference, RouteReport
 from gcs_coloc.core.messages.inbound import TimeBase
 from gcs_coloc.core.messages.outbound import ExternalPosition, GpsInput, HealthChanged, Notice
-from gcs_coloc.core.schedule import advance, find_overrun
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.framing import OWN_COMPID, OWN_SYSID
+from gcs_coloc.recorder.flight_report import FlightReport
 from gcs_coloc.recorder.replay import Replay, replay
-from gcs_coloc.recorder.reports.flight_report import FlightReport
 from gcs_coloc.recorder.side_channel import FlownWith, SideChannelWriter
 from gcs_coloc.recorder.side_tables import TruthPoint, read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader, tlog_record

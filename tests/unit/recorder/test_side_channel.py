@@ -5,6 +5,7 @@ import json
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from gcs_coloc.core.deadlines import Overrun
 from gcs_coloc.core.messages.control import (
     AidingOverride,
     ClockReference,
@@ -20,7 +21,6 @@ from gcs_coloc.core.messages.control import (
     SwitchedReceiver,
 )
 from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
-from gcs_coloc.core.schedule import Overrun
 from gcs_coloc.recorder.side_channel import PAYLOAD_TYPE, FlownWith, GroundTool, SideChannelWriter, read_side_channel
 
 AT_S = 1_795_216_162.424732

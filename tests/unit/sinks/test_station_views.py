@@ -14,13 +14,13 @@ from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.stations.node_id import station_node
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.recorder.flight_history import FlightHistory
+from gcs_coloc.recorder.flight_report import FlightReport
 from gcs_coloc.recorder.formats.geojson import write_geojson
 from gcs_coloc.recorder.formats.kml import write_kml
 from gcs_coloc.recorder.formats.mcap_file import McapEncoder
 from gcs_coloc.recorder.journal import Journal, StationEntry
 from gcs_coloc.recorder.journal_json import as_json
 from gcs_coloc.recorder.replay import ReplayCounts
-from gcs_coloc.recorder.reports.flight_report import FlightReport
 from gcs_coloc.sinks.metrics import fleet_registry
 from gcs_coloc.sinks.mqtt_models import of_station
 from gcs_coloc.web.picture import fleet_frame

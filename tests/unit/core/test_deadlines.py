@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import random
 
+from gcs_coloc.core.deadlines import CATCH_UP_S, Overrun, advance, find_overrun, without_superseded
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.control import GpsOverride, OperatorCommand, RouteReport
 from gcs_coloc.core.messages.inbound import Autopilot, Heartbeat
 from gcs_coloc.core.messages.outbound import GpsInput, Notice, RangingBeacon
-from gcs_coloc.core.schedule import CATCH_UP_S, Overrun, advance, find_overrun, without_superseded
 from gcs_coloc.estimators.registry import load_estimator
 
 STARTED_S = 1_795_216_162.424732

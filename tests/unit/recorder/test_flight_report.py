@@ -22,9 +22,9 @@ from gcs_coloc.core.measurements import (
 )
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.evaluation.data_checks.findings import DataFinding
+from gcs_coloc.recorder import flight_report
+from gcs_coloc.recorder.flight_report import MeasurementTap
 from gcs_coloc.recorder.replay import Replay, replay
-from gcs_coloc.recorder.reports import flight_report
-from gcs_coloc.recorder.reports.flight_report import MeasurementTap
 from gcs_coloc.recorder.side_tables import TruthPoint
 from gcs_coloc.recorder.tlog import TlogReader
 from sitl_fakes.fleet import Fleet
