@@ -213,9 +213,8 @@ class _Observed:
             return None
         from gcs_coloc.web.app import WebHooks
         from gcs_coloc.web.pages import Pages
-        from gcs_coloc.web.picture import LiveSource
+        from gcs_coloc.web.picture import LiveSource, TrackHistory
         from gcs_coloc.web.server import WebServer
-        from gcs_coloc.web.track_history import TrackHistory
 
         path, snapshots = self.path, self.path.snapshots
         history, events = TrackHistory(), path.events.subscribe(256)

@@ -15,7 +15,6 @@ import urllib.request
 from collections.abc import Mapping, Sequence
 from http.client import HTTPException
 
-from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import Metric
 
 from gcs_coloc.config.fleets import FleetOf
@@ -23,7 +22,7 @@ from gcs_coloc.core.errors import WebError
 from gcs_coloc.service.signals import stop_on_signals
 from gcs_coloc.service.worker import Worker, WorkerReport
 from gcs_coloc.sinks.event_bus import IdleScheduler
-from gcs_coloc.sinks.fleets_metrics import MergedMetrics, read_metrics, worker_metrics
+from gcs_coloc.sinks.metrics import merged_metrics, read_metrics, worker_metrics
 from gcs_coloc.sinks.watched_fleets import FleetShown, Presence, WatchedFleets
 from gcs_coloc.web.fleets_page import FLEETS_EVERY_S, FleetsSource
 from gcs_coloc.web.pages import Pages
@@ -147,9 +146,7 @@ class _Source(FleetsSource):
         """As `FleetsSource` says, with those of every fleet."""
         of_fleets = await self._supervisor.fleet_metrics()
         own = [*self.registry.collect(), *self._supervisor.worker_metrics()]
-        merged = CollectorRegistry()
-        merged.register(MergedMetrics([({}, own), *of_fleets]))
-        return generate_latest(merged)
+        return merged_metrics([({}, own), *of_fleets])
 
 
 def _scrape(page: str) -> list[Metric]:

@@ -13,9 +13,8 @@ from gcs_coloc.config.service_sections import MqttConfig, WebConfig
 from gcs_coloc.runtime.process import exclude_start
 from gcs_coloc.service.signals import stop_on_signals
 from gcs_coloc.sinks.event_bus import IdleScheduler
-from gcs_coloc.sinks.fleets_table import FleetsTable, fleet_line
 from gcs_coloc.sinks.mqtt_watch import MqttWatch
-from gcs_coloc.sinks.terminal import LiveTable, SharedConsole
+from gcs_coloc.sinks.terminal import FleetsTable, LiveTable, SharedConsole, fleet_line
 from gcs_coloc.sinks.watched_fleets import Presence
 from gcs_coloc.web.fleets_page import FLEETS_EVERY_S, FleetsSource
 from gcs_coloc.web.pages import Pages

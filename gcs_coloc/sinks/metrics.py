@@ -1,20 +1,29 @@
-"""The fleet as Prometheus metrics, made from one snapshot for each scrape."""
+"""Prometheus metrics: of one fleet, made from one snapshot for each scrape, and of all fleets."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import TypeVar, get_args
 
-from prometheus_client import CollectorRegistry, ProcessCollector
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily, Metric
+from prometheus_client import CollectorRegistry, ProcessCollector, generate_latest
+from prometheus_client.core import CounterMetricFamily as _Counter
+from prometheus_client.core import GaugeMetricFamily as _Gauge
+from prometheus_client.core import InfoMetricFamily, Metric
+from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.registry import Collector
 
 from gcs_coloc import __version__
+from gcs_coloc.core.alarms.alarms import LightColour
 from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
 from gcs_coloc.core.snapshot import FleetSnapshot, LinkSnapshot, OutSnapshot, VehicleSnapshot
 from gcs_coloc.core.standby.sign_of_life import StandbyState
 from gcs_coloc.core.standby.standby_snapshot import StandbySnapshot
 from gcs_coloc.core.station_review import StationSnapshot
+from gcs_coloc.sinks.watched_fleets import FleetShown, Presence
+
+Family = TypeVar("Family", _Counter, _Gauge)
 
 # name, help, value: a vehicle for which the value is None has no sample.
 _GAUGES: tuple[tuple[str, str, Callable[[VehicleSnapshot], float | None]], ...] = (
@@ -99,108 +108,150 @@ _STATION_GAUGES: tuple[tuple[str, str, Callable[[StationSnapshot], float | None]
 )
 
 
-class FleetCollector(Collector):
-    """Turns the fleet as it stands into metric families. `snapshot` is called once a scrape."""
+class _Scraped(Collector):
+    """Metric families that are made anew at each scrape."""
 
-    def __init__(self, snapshot: Callable[[], FleetSnapshot]) -> None:
-        self._snapshot = snapshot
+    def __init__(self, make: Callable[[], Iterable[Metric]]) -> None:
+        self._make = make
 
     def describe(self) -> list[Metric]:
         """Nothing: which vehicles there are is known at the scrape only."""
         return []
 
-    def collect(self) -> Iterator[Metric]:
+    def collect(self) -> Iterable[Metric]:
         """As the protocol says."""
-        fleet = self._snapshot()
-        yield InfoMetricFamily("gcs_coloc_build", "Which program runs.", {"version": __version__, "estimator": fleet.estimator})
-        text = "By how much the host ran the service late at worst in the last second."
-        yield GaugeMetricFamily("gcs_coloc_loop_lag_seconds", text, fleet.loop_lag_s)
-        text = "The alert limit: no position is sent while the protection level is beyond it."
-        yield GaugeMetricFamily("gcs_coloc_alert_limit_meters", text, fleet.alert_limit_m)
-        noise = fleet.noise
-        for name, text, found in (
-            ("range_bias_sigma_meters", "Lasting error of ranges beyond the stated one.", noise.range_bias_m),
-            ("device_bias_sigma_meters", "Lasting error of ranging devices beyond the stated one.", noise.device_bias_m),
-            ("device_scale_sigma_ratio", "Lasting error of ranging devices as a share of the range.", noise.device_scale),
-            ("height_sigma_meters", "Error of heights beyond the stated one.", noise.height_sigma_m),
-            ("position_accuracy_ratio", "Error of reported positions over the stated one.", noise.position_factor),
-        ):
-            yield GaugeMetricFamily(f"gcs_coloc_found_{name}", text, found)
-        if fleet.standby is not None:
-            yield from _standby(fleet.standby)
-        yield GaugeMetricFamily("gcs_coloc_vehicles", "Vehicles that were heard.", float(len(fleet.vehicles)))
-        for name, text, value in _GAUGES:
-            gauge = GaugeMetricFamily(f"gcs_coloc_vehicle_{name}", text, labels=["sysid"])
-            for vehicle in fleet.vehicles:
-                number = value(vehicle)
-                if number is not None:
-                    gauge.add_metric([str(vehicle.sysid)], number)
-            yield gauge
-        for name, text, number_of in _STATION_GAUGES:
-            gauge = GaugeMetricFamily(f"gcs_coloc_station_{name}", text, labels=["station"])
-            for station in fleet.stations:
-                number = number_of(station)
-                if number is not None:
-                    gauge.add_metric([str(station.station_id)], number)
-            yield gauge
-        states = GaugeMetricFamily("gcs_coloc_vehicle_gps_state", "1 for the state its GPS is in.", labels=["sysid", "state"])
-        for vehicle in fleet.vehicles:
-            for state in GpsState:
-                states.add_metric([str(vehicle.sysid), state.value], float(vehicle.gps_state == state.value))
-        yield states
-        text = "1 for whether it would be located if its GPS failed now; none while its GPS is not healthy."
-        readiness = GaugeMetricFamily("gcs_coloc_vehicle_readiness", text, labels=["sysid", "state"])
-        for sysid, told in ((vehicle.sysid, vehicle.readiness) for vehicle in fleet.vehicles):
-            for each in ReadinessState if told is not None else ():
-                readiness.add_metric([str(sysid), each.value], float(told is not None and told.state is each))
-        yield readiness
-        text = "1 for what limits it if its GPS failed now; none where nothing does."
-        limits = GaugeMetricFamily("gcs_coloc_vehicle_readiness_reason", text, labels=["sysid", "reason"])
-        for sysid, told in ((vehicle.sysid, vehicle.readiness) for vehicle in fleet.vehicles):
-            if told is not None and told.reason is not None:
-                limits.add_metric([str(sysid), told.reason], 1.0)
-        yield limits
-        for name, text, count in _COUNTERS:
-            counter = CounterMetricFamily(f"gcs_coloc_vehicle_{name}", text, labels=["sysid"])
-            for link in fleet.links:
-                counter.add_metric([str(link.sysid)], float(count(link)))
-            yield counter
-        for name, text, count_out in _OUT_COUNTERS:
-            counter = CounterMetricFamily(f"gcs_coloc_{name}", text, labels=["out"])
-            for out in fleet.outs:
-                counter.add_metric([out.name], float(count_out(out)))
-            yield counter
-        tools = GaugeMetricFamily("gcs_coloc_out_tools", "Ground tools that can be sent to.", labels=["out"])
-        for out in fleet.outs:
-            tools.add_metric([out.name], float(out.tools))
-        yield tools
-        refused = CounterMetricFamily("gcs_coloc_refused", "What was refused or set aside.", labels=["reason"])
-        for reason, times in fleet.refused.items():
-            refused.add_metric([reason], float(times))
-        yield refused
-        counts = CounterMetricFamily("gcs_coloc_estimator_measurements", "What became of measurements.", labels=["outcome"])
-        for outcome, times in fleet.estimator_counts.items():
-            counts.add_metric([outcome], float(times))
-        yield counts
+        return self._make()
 
 
-def _standby(standby: StandbySnapshot) -> Iterator[Metric]:
-    states = GaugeMetricFamily("gcs_coloc_standby_state", "1 for the state this service is in.", labels=["state"])
-    for state in StandbyState:
-        states.add_metric([state.value], float(standby.state == state.value))
-    yield states
-    text = "Counts the changes of the active service, the same on both."
-    yield GaugeMetricFamily("gcs_coloc_standby_term", text, float(standby.term))
-    if standby.other_age_s is not None:
-        text = "Time since the last sign of life of the other service."
-        yield GaugeMetricFamily("gcs_coloc_standby_other_age_seconds", text, standby.other_age_s)
-    text = "1 while the hot standby is not what it should be."
-    yield GaugeMetricFamily("gcs_coloc_standby_problem", text, float(standby.problem is not None))
+def _registry(make: Callable[[], Iterable[Metric]]) -> CollectorRegistry:
+    """A registry of its own with some families and this process in it."""
+    registry = CollectorRegistry()
+    registry.register(_Scraped(make))
+    ProcessCollector(registry=registry)
+    return registry
+
+
+def _family(kind: type[Family], name: str, text: str, labels: str, samples: Iterable[tuple[object, ...]]) -> Family:
+    """A family of some samples, each the values of its labels and then its own.
+
+    `labels` are names with blanks between. A sample whose value is None is left out.
+    """
+    family = kind(f"gcs_coloc_{name}", text, labels=labels.split())
+    for *of, value in samples:
+        if value is not None:
+            family.add_metric([str(label) for label in of], float(value))  # type: ignore[arg-type]
+    return family
 
 
 def fleet_registry(snapshot: Callable[[], FleetSnapshot]) -> CollectorRegistry:
-    """A registry of its own with the fleet and this process in it."""
+    """The metrics of one fleet. `snapshot` is called once a scrape."""
+    return _registry(lambda: _of_fleet(snapshot()))
+
+
+def _of_fleet(fleet: FleetSnapshot) -> Iterator[Metric]:
+    yield InfoMetricFamily("gcs_coloc_build", "Which program runs.", {"version": __version__, "estimator": fleet.estimator})
+    noise, vehicles = fleet.noise, fleet.vehicles
+    for name, text, found in (
+        ("loop_lag_seconds", "By how much the host ran the service late at worst in the last second.", fleet.loop_lag_s),
+        (
+            "alert_limit_meters",
+            "The alert limit: no position is sent while the protection level is beyond it.",
+            fleet.alert_limit_m,
+        ),
+        ("found_range_bias_sigma_meters", "Lasting error of ranges beyond the stated one.", noise.range_bias_m),
+        ("found_device_bias_sigma_meters", "Lasting error of ranging devices beyond the stated one.", noise.device_bias_m),
+        ("found_device_scale_sigma_ratio", "Lasting error of ranging devices as a share of the range.", noise.device_scale),
+        ("found_height_sigma_meters", "Error of heights beyond the stated one.", noise.height_sigma_m),
+        ("found_position_accuracy_ratio", "Error of reported positions over the stated one.", noise.position_factor),
+    ):
+        yield _family(_Gauge, name, text, "", [(found,)])
+    if fleet.standby is not None:
+        yield from _standby(fleet.standby)
+    yield _family(_Gauge, "vehicles", "Vehicles that were heard.", "", [(len(vehicles),)])
+    for name, text, value in _GAUGES:
+        yield _family(_Gauge, f"vehicle_{name}", text, "sysid", ((v.sysid, value(v)) for v in vehicles))
+    for name, text, number in _STATION_GAUGES:
+        yield _family(_Gauge, f"station_{name}", text, "station", ((s.station_id, number(s)) for s in fleet.stations))
+    states = ((v.sysid, state.value, v.gps_state == state.value) for v in vehicles for state in GpsState)
+    yield _family(_Gauge, "vehicle_gps_state", "1 for the state its GPS is in.", "sysid state", states)
+    told = [(v.sysid, v.readiness) for v in vehicles if v.readiness is not None]
+    text = "1 for whether it would be located if its GPS failed now; none while its GPS is not healthy."
+    ready = ((sysid, each.value, found.state is each) for sysid, found in told for each in ReadinessState)
+    yield _family(_Gauge, "vehicle_readiness", text, "sysid state", ready)
+    text = "1 for what limits it if its GPS failed now; none where nothing does."
+    limits = ((sysid, found.reason, 1) for sysid, found in told if found.reason is not None)
+    yield _family(_Gauge, "vehicle_readiness_reason", text, "sysid reason", limits)
+    for name, text, count in _COUNTERS:
+        yield _family(_Counter, f"vehicle_{name}", text, "sysid", ((link.sysid, count(link)) for link in fleet.links))
+    for name, text, count_out in _OUT_COUNTERS:
+        yield _family(_Counter, name, text, "out", ((out.name, count_out(out)) for out in fleet.outs))
+    yield _family(_Gauge, "out_tools", "Ground tools that can be sent to.", "out", ((out.name, out.tools) for out in fleet.outs))
+    yield _family(_Counter, "refused", "What was refused or set aside.", "reason", fleet.refused.items())
+    text = "What became of measurements."
+    yield _family(_Counter, "estimator_measurements", text, "outcome", fleet.estimator_counts.items())
+
+
+def _standby(standby: StandbySnapshot) -> Iterator[Metric]:
+    states = ((state.value, standby.state == state.value) for state in StandbyState)
+    yield _family(_Gauge, "standby_state", "1 for the state this service is in.", "state", states)
+    text = "Counts the changes of the active service, the same on both."
+    yield _family(_Gauge, "standby_term", text, "", [(standby.term,)])
+    if standby.other_age_s is not None:
+        text = "Time since the last sign of life of the other service."
+        yield _family(_Gauge, "standby_other_age_seconds", text, "", [(standby.other_age_s,)])
+    text = "1 while the hot standby is not what it should be."
+    yield _family(_Gauge, "standby_problem", text, "", [(standby.problem is not None,)])
+
+
+def fleets_registry(
+    shown: Callable[[], Iterable[FleetShown]], problem: Callable[[], str | None], refused: Callable[[], dict[str, int]]
+) -> CollectorRegistry:
+    """The metrics of all fleets as they stand at each scrape."""
+    return _registry(lambda: _of_fleets(list(shown()), problem(), refused()))
+
+
+def _of_fleets(fleets: list[FleetShown], problem: str | None, refused: dict[str, int]) -> Iterator[Metric]:
+    presences = Counter(fleet.presence for fleet in fleets)
+    told = [fleet.overview for fleet in fleets if fleet.presence is Presence.LIVE and fleet.overview is not None]
+    lights = Counter(v.light for overview in told for v in overview.vehicles)
+    of_presences = ((each.value, presences[each]) for each in Presence)
+    yield _family(_Gauge, "watch_fleets", "Fleets by whether they are heard.", "presence", of_presences)
+    of_lights = ((light, lights[light]) for light in get_args(LightColour))
+    yield _family(_Gauge, "watch_vehicles", "Vehicles of live fleets.", "light", of_lights)
+    waiting = sum(alarm.state in ("active", "over") for overview in told for alarm in overview.alarms)
+    yield _family(_Gauge, "watch_alarms", "Alarms of live fleets that nobody has acknowledged.", "", [(waiting,)])
+    yield _family(_Gauge, "watch_connected", "1 while states can come.", "", [(problem is None,)])
+    yield _family(_Counter, "watch_refused", "Messages that were refused.", "reason", refused.items())
+
+
+def merged_metrics(parts: Iterable[tuple[Mapping[str, str], Iterable[Metric]]]) -> bytes:
+    """Metric families of several processes in Prometheus's text format; those of the same name are merged.
+
+    `parts` has the labels and the families of each process.
+    """
+    families: dict[str, Metric] = {}
+    for labels, several in parts:
+        for family in several:
+            merged = families.setdefault(family.name, Metric(family.name, family.documentation, family.type))
+            merged.samples += [sample._replace(labels={**sample.labels, **labels}) for sample in family.samples]
     registry = CollectorRegistry()
-    registry.register(FleetCollector(snapshot))
-    ProcessCollector(registry=registry)
-    return registry
+    registry.register(_Scraped(families.values))
+    return generate_latest(registry)
+
+
+def read_metrics(text: str) -> list[Metric]:
+    """The metric families in Prometheus's text format. Raises ValueError where it is none."""
+    return list(text_string_to_metric_families(text))
+
+
+def worker_metrics(is_heard: Mapping[str, bool], starts: Mapping[str, int]) -> list[Metric]:
+    """Return the metrics of the worker processes themselves, by fleet.
+
+    They are whether each runs and is heard, and how often it was started.
+    """
+    text = "1 while the fleet's process runs and is heard."
+    started = "How often the fleet's process was started."
+    return [
+        _family(_Gauge, "worker_up", text, "fleet", is_heard.items()),
+        _family(_Counter, "worker_starts", started, "fleet", starts.items()),
+    ]

@@ -13,11 +13,11 @@ from pydantic import BaseModel, ConfigDict
 
 from gcs_coloc.core.alarms.alarms import Alarm, AlarmKind, AlarmState
 from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
-from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
+from gcs_coloc.core.snapshot import FleetSnapshot, OutSnapshot, VehicleSnapshot
 from gcs_coloc.core.standby.sign_of_life import StandbyState
 from gcs_coloc.core.station_review import StationSnapshot
 from gcs_coloc.sinks.fleet_overview import FleetOverview
-from gcs_coloc.sinks.mqtt_commands import Command, Range, StandbyCommand
+from gcs_coloc.sinks.mqtt_inbox import Command, Range, StandbyCommand
 
 TOPIC_VERSION = "v2"
 """Stands in every topic. A change that breaks readers makes it the next one; v1 was that of version 0.1."""
@@ -130,21 +130,6 @@ class StationState(_Sent):
     is_used: bool
 
 
-class GroundTools(BaseModel):
-    """The ground tools behind one connection string of `out`.
-
-    `tools` is how many there are now. Frames and refusals are counted since the start.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-    name: str
-    tools: int
-    frames_sent: int
-    frames_accepted: int
-    dropped: int
-    refused: int
-
-
 class StandbyStatus(BaseModel):
     """Which of the two services of a hot standby sends; ages in seconds, None for never heard."""
 
@@ -170,7 +155,7 @@ class FleetStatus(_Sent):
     estimator: str | None
     vehicles: tuple[int, ...]
     refused: dict[str, int]
-    outs: tuple[GroundTools, ...]
+    outs: tuple[OutSnapshot, ...]
     standby: StandbyStatus | None = None
 
 
@@ -246,7 +231,7 @@ def status(snapshot: FleetSnapshot | None, *, online: bool) -> FleetStatus:
         estimator=snapshot.estimator,
         vehicles=vehicles,
         refused=snapshot.refused,
-        outs=tuple(_told(GroundTools, out) for out in snapshot.outs),
+        outs=snapshot.outs,
         standby=_told(StandbyStatus, snapshot.standby) if snapshot.standby is not None else None,
     )
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
+from enum import Enum
+from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
-from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
-from pydantic import BaseModel, ConfigDict, ValidationError
+from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
+from pydantic import TypeAdapter, ValidationError
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
 from starlette.requests import Request
@@ -28,7 +31,10 @@ from gcs_coloc.web.playback import Playback
 from gcs_coloc.web.tiles import TileFile
 from gcs_coloc.web.wire import Hello, PlaybackCommand
 
-STATIC = Path(__file__).parent / "static"
+Choice = TypeVar("Choice", bound=Enum)
+Lifespan = Callable[[Starlette], AbstractAsyncContextManager[None]]
+
+_STATIC = Path(__file__).parent / "static"
 _MAX_BODY_BYTES = 1000  # chosen: ten times the longest command
 
 
@@ -50,188 +56,119 @@ class WebHooks:
     """Carries out an order on the hot standby, and says why not where it does not; None where there is none."""
 
 
-class GpsCommand(BaseModel):
-    """The body of an override of a vehicle's GPS state."""
-
-    model_config = ConfigDict(extra="forbid")
-    override: GpsOverride
+_OVERRIDES: Mapping[str, type[Override]] = {"gps": GpsOverride, "aiding": AidingOverride, "gps_primary": PrimaryOverride}
+"""What an operator can override, by the last part of the path."""
 
 
-class AidingCommand(BaseModel):
-    """The body of an override of a vehicle's aiding."""
+class _LiveRoutes:
+    """The requests of a live service. `token` None makes it read-only."""
 
-    model_config = ConfigDict(extra="forbid")
-    override: AidingOverride
-
-
-class PrimaryCommand(BaseModel):
-    """The body of an override of a vehicle's GPS_PRIMARY."""
-
-    model_config = ConfigDict(extra="forbid")
-    override: PrimaryOverride
-
-
-class OrderCommand(BaseModel):
-    """The body of an order on the hot standby."""
-
-    model_config = ConfigDict(extra="forbid")
-    order: StandbyOrder
-
-
-_COMMANDS: Mapping[str, type[GpsCommand | AidingCommand | PrimaryCommand]] = {
-    "gps": GpsCommand,
-    "aiding": AidingCommand,
-    "gps_primary": PrimaryCommand,
-}
-
-
-class _Site:
-    """The handlers and what they share."""
-
-    def __init__(
-        self, hooks: WebHooks | None, playback: Playback | None, pages: Pages, token: str | None, tiles: TileFile | None
-    ) -> None:
+    def __init__(self, hooks: WebHooks, token: str | None) -> None:
         self._hooks = hooks
-        self._playback = playback
-        self._pages = pages
         self._token = token
-        self._tiles = tiles
-        self._registry: CollectorRegistry | None = fleet_registry(hooks.snapshot) if hooks is not None else None
-
-    async def index(self, request: Request) -> Response:
-        """The page."""
-        del request
-        return FileResponse(STATIC / "index.html")
-
-    async def live(self, socket: WebSocket) -> None:
-        """The page's WebSocket."""
-        await serve_live(socket, self._pages, self._hello)
+        self._registry = fleet_registry(hooks.snapshot)
 
     async def command(self, request: Request) -> Response:
         """An operator override on one vehicle."""
-        assert self._hooks is not None
         if not bears_token(request.headers, self._token):
-            return PlainTextResponse("commands need the operator's token\n", status_code=403)
-        sysid, model = request.path_params["sysid"], _COMMANDS.get(request.path_params["what"])
-        if model is None:
-            return PlainTextResponse(f"there are commands for {', '.join(_COMMANDS)}\n", status_code=404)
+            return _refused(403, "commands need the operator's token")
+        sysid, kind = request.path_params["sysid"], _OVERRIDES.get(request.path_params["what"])
+        if kind is None:
+            return _refused(404, f"there are commands for {', '.join(_OVERRIDES)}")
         if sysid not in {v.sysid for v in self._hooks.snapshot().vehicles}:
-            return PlainTextResponse(f"no vehicle {sysid} was heard\n", status_code=404)
+            return _refused(404, f"no vehicle {sysid} was heard")
         refusal = self._hooks.command_refusal()
         if refusal is not None:
-            return PlainTextResponse(f"{refusal}\n", status_code=409)
-        body = await _body(request)
-        if body is None:
-            return PlainTextResponse("too long\n", status_code=413)
-        try:
-            command = model.model_validate_json(body)
-        except ValidationError:
-            values = ", ".join(f'"{value.value}"' for value in model.model_fields["override"].annotation or ())
-            return PlainTextResponse(f'expected {{"override": VALUE}}, VALUE one of {values}\n', status_code=422)
-        self._hooks.apply_command(sysid, command.override)
-        return JSONResponse({"sysid": sysid, "override": command.override.value})
+            return _refused(409, refusal)
+        override = await _chosen(request, "override", kind)
+        if isinstance(override, Response):
+            return override
+        self._hooks.apply_command(sysid, override)
+        return JSONResponse({"sysid": sysid, "override": override.value})
 
     async def order(self, request: Request) -> Response:
         """An operator's order on the hot standby."""
-        assert self._hooks is not None
         if not bears_token(request.headers, self._token):
-            return PlainTextResponse("orders need the operator's token\n", status_code=403)
+            return _refused(403, "orders need the operator's token")
         if self._hooks.order_standby is None:
-            return PlainTextResponse("there is no hot standby: [standby] peer is not set\n", status_code=404)
-        body = await _body(request)
-        if body is None:
-            return PlainTextResponse("too long\n", status_code=413)
-        try:
-            order = OrderCommand.model_validate_json(body).order
-        except ValidationError:
-            values = ", ".join(f'"{value.value}"' for value in StandbyOrder)
-            return PlainTextResponse(f'expected {{"order": VALUE}}, VALUE one of {values}\n', status_code=422)
+            return _refused(404, "there is no hot standby: [standby] peer is not set")
+        order = await _chosen(request, "order", StandbyOrder)
+        if isinstance(order, Response):
+            return order
         refusal = self._hooks.order_standby(order)
-        if refusal is not None:
-            return PlainTextResponse(f"{refusal}\n", status_code=409)
-        return JSONResponse({"order": order.value})
+        return _refused(409, refusal) if refusal is not None else JSONResponse({"order": order.value})
 
     async def acknowledge(self, request: Request) -> Response:
         """Acknowledge an alarm.
 
         It needs no token: it reaches no aircraft, and an alarm whose condition holds stays in the list.
         """
-        assert self._hooks is not None
         alarm_id = request.path_params["alarm_id"]
         if not self._hooks.acknowledge(alarm_id):
-            return PlainTextResponse(f"no alarm {alarm_id} waits to be acknowledged\n", status_code=404)
+            return _refused(404, f"no alarm {alarm_id} waits to be acknowledged")
         return JSONResponse({"id": alarm_id})
 
-    async def play(self, request: Request) -> Response:
-        """Play, pause, seek or change the speed of a replay; answer with its state.
-
-        It needs no token: a replay reaches no aircraft.
-        """
-        assert self._playback is not None
-        body = await _body(request)
-        if body is None:
-            return PlainTextResponse("too long\n", status_code=413)
-        try:
-            command = PlaybackCommand.model_validate_json(body)
-        except ValidationError as error:
-            wrong = "; ".join(f"{'.'.join(str(part) for part in e['loc'])}: {e['msg']}" for e in error.errors())
-            text = (
-                f'expected {{"playing": true or false, "speed": NUMBER or "max", "seek_s": UNIX seconds, "halt": true}}, '
-                f"any of them: {wrong}\n"
-            )
-            return PlainTextResponse(text, status_code=422)
-        self._playback.apply_command(command)
-        return Response(self._playback.state.model_dump_json(), media_type="application/json")
-
-    def tile(self, request: Request) -> Response:
-        """One tile of the map; 204 where there is none.
-
-        It is no coroutine, because it reads a file: it runs in a thread.
-        """
-        assert self._tiles is not None
-        data = self._tiles.tile(*(request.path_params[key] for key in ("zoom", "x", "y")))
-        if data is None:
-            return Response(status_code=204)
-        return Response(data, media_type=self._tiles.media_type, headers={"cache-control": "private, max-age=3600"})
-
-    async def metrics(self, request: Request) -> Response:
+    async def metrics(self, _: Request) -> Response:
         """The metrics for Prometheus."""
-        del request
-        assert self._registry is not None
         return Response(generate_latest(self._registry), headers={"content-type": CONTENT_TYPE_LATEST})
 
-    async def healthy(self, request: Request) -> Response:
-        """Whether the process answers at all."""
-        del request
-        return PlainTextResponse("ok\n")
 
-    async def ready(self, request: Request) -> Response:
-        """Whether the service does its work."""
-        del request
-        fault = self._hooks.fault() if self._hooks is not None else None
-        return PlainTextResponse("ok\n") if fault is None else PlainTextResponse(f"{fault}\n", status_code=503)
-
-    def _hello(self) -> str:
-        source = self._pages.source
-        return Hello(
-            instance=source.instance,
-            version=__version__,
-            commands=self._token is not None and self._hooks is not None,
-            replay=self._playback is not None,
-            tiles=self._tiles.info if self._tiles is not None else None,
-            utc_minus_service_s=source.utc_minus_service_s,
-            history=source.tracks(),
-        ).model_dump_json()
+def _refused(status: int, text: str) -> Response:
+    return PlainTextResponse(f"{text}\n", status_code=status)
 
 
-async def _body(request: Request) -> bytes | None:
-    """The body of a command, None where it is too long for one."""
+async def _body(request: Request) -> bytes | Response:
+    """The body of a command, or the refusal of one that is too long."""
     body = b""
     async for part in request.stream():
         body += part
         if len(body) > _MAX_BODY_BYTES:
-            return None
+            return _refused(413, "too long")
     return body
+
+
+async def _chosen(request: Request, key: str, kind: type[Choice]) -> Choice | Response:
+    """The one value in a body `{key: VALUE}`, or the refusal of another body."""
+    body = await _body(request)
+    if isinstance(body, Response):
+        return body
+    try:
+        content: dict[str, Choice] = TypeAdapter(dict[str, kind]).validate_json(body)  # type: ignore[valid-type]
+    except ValidationError:
+        content = {}
+    if content.keys() == {key}:
+        return content[key]
+    values = ", ".join(f'"{value.value}"' for value in kind)
+    return _refused(422, f'expected {{"{key}": VALUE}}, VALUE one of {values}')
+
+
+async def _play(playback: Playback, request: Request) -> Response:
+    """Play, pause, seek or change the speed of a replay; answer with its state.
+
+    It needs no token: a replay reaches no aircraft.
+    """
+    body = await _body(request)
+    if isinstance(body, Response):
+        return body
+    try:
+        command = PlaybackCommand.model_validate_json(body)
+    except ValidationError as error:
+        wrong = "; ".join(f"{'.'.join(str(part) for part in e['loc'])}: {e['msg']}" for e in error.errors())
+        expected = '{"playing": true or false, "speed": NUMBER or "max", "seek_s": UNIX seconds, "halt": true}'
+        return _refused(422, f"expected {expected}, any of them: {wrong}")
+    playback.apply_command(command)
+    return Response(playback.state.model_dump_json(), media_type="application/json")
+
+
+def _tile(tiles: TileFile, request: Request) -> Response:
+    """One tile of the map; 204 where there is none.
+
+    It is no coroutine, because it reads a file: it runs in a thread.
+    """
+    data = tiles.tile(*(request.path_params[key] for key in ("zoom", "x", "y")))
+    if data is None:
+        return Response(status_code=204)
+    return Response(data, media_type=tiles.media_type, headers={"cache-control": "private, max-age=3600"})
 
 
 def make_app(
@@ -240,32 +177,74 @@ def make_app(
     token: str | None,
     tiles: TileFile | None,
     allowed_hosts: Collection[str],
-    lifespan: Callable[[Starlette], AbstractAsyncContextManager[None]],
+    lifespan: Lifespan,
 ) -> Starlette:
     """Make the application of a live service or a replay.
 
     `token` None makes it read-only. `tiles` None leaves the map without tiles.
     """
+    routes = [Route("/tiles/{zoom:int}/{x:int}/{y:int}", partial(_tile, tiles))] if tiles is not None else []
     if isinstance(source, Playback):
-        site = _Site(None, source, pages, token, tiles)
-        own = [Route("/api/playback", site.play, methods=["POST"])]
+        routes.append(Route("/api/playback", partial(_play, source), methods=["POST"]))
     else:
-        site = _Site(source, None, pages, token, tiles)
-        own = [
-            Route("/api/vehicles/{sysid:int}/{what}", site.command, methods=["POST"]),
-            Route("/api/alarms/{alarm_id:int}/acknowledge", site.acknowledge, methods=["POST"]),
-            Route("/api/standby", site.order, methods=["POST"]),
-            Route("/metrics", site.metrics),
+        live = _LiveRoutes(source, token)
+        routes += [
+            Route("/api/vehicles/{sysid:int}/{what}", live.command, methods=["POST"]),
+            Route("/api/alarms/{alarm_id:int}/acknowledge", live.acknowledge, methods=["POST"]),
+            Route("/api/standby", live.order, methods=["POST"]),
+            Route("/metrics", live.metrics),
         ]
+
+    def hello() -> str:
+        return Hello(
+            instance=pages.source.instance,
+            version=__version__,
+            commands=token is not None and isinstance(source, WebHooks),
+            replay=isinstance(source, Playback),
+            tiles=tiles.info if tiles is not None else None,
+            utc_minus_service_s=pages.source.utc_minus_service_s,
+            history=pages.source.tracks(),
+        ).model_dump_json()
+
+    fault = source.fault if isinstance(source, WebHooks) else lambda: None
+    return page_app("index.html", pages, hello, fault, routes, allowed_hosts, lifespan)
+
+
+def page_app(
+    file: str,
+    pages: Pages,
+    hello: Callable[[], str],
+    fault: Callable[[], str | None],
+    routes: Sequence[Route],
+    allowed_hosts: Collection[str],
+    lifespan: Lifespan,
+) -> Starlette:
+    """Make an application of one page: its file, its WebSocket, its health, and further routes.
+
+    `hello` makes the first message to the page, `fault` says what keeps the service from its work.
+    """
+
+    async def index(_: Request) -> Response:
+        return FileResponse(_STATIC / file)
+
+    async def live(socket: WebSocket) -> None:
+        await serve_live(socket, pages, hello)
+
+    async def healthy(_: Request) -> Response:
+        return PlainTextResponse("ok\n")
+
+    async def ready(_: Request) -> Response:
+        text = fault()
+        return PlainTextResponse("ok\n") if text is None else _refused(503, text)
+
     return Starlette(
         routes=[
-            Route("/", site.index),
-            Route("/healthz", site.healthy),
-            Route("/readyz", site.ready),
-            *own,
-            *([Route("/tiles/{zoom:int}/{x:int}/{y:int}", site.tile)] if tiles is not None else []),
-            WebSocketRoute("/live", site.live),
-            Mount("/static", StaticFiles(directory=STATIC)),
+            Route("/", index),
+            Route("/healthz", healthy),
+            Route("/readyz", ready),
+            *routes,
+            WebSocketRoute("/live", live),
+            Mount("/static", StaticFiles(directory=_STATIC)),
         ],
         middleware=[Middleware(Guard, allowed_hosts=allowed_hosts)],
         lifespan=lifespan,

@@ -6,8 +6,8 @@ A page gets the next picture as soon as it has shown the one before.
 from __future__ import annotations
 
 import asyncio
+import secrets
 from collections.abc import Awaitable, Callable
-from typing import Protocol
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
@@ -21,43 +21,42 @@ _PICTURES_SHOWN: dict[str | None, int] = {SHOWN: 1, BOTH_SHOWN: 2}
 _PAGES_AT_A_TIME = 8  # chosen: sending to them takes a millisecond
 
 
-class PageSource(Protocol):
-    """What pages are sent: the live service's fleet, or a replay's at its position."""
+class PageSource:
+    """What pages are sent: the live service's fleet, a replay's at its position, or all fleets.
 
-    @property
-    def instance(self) -> str:
-        """An id that changes where a page must forget everything it was sent.
+    A source overrides what it has; pages of this one have no events and no tracks.
+    """
 
-        It changes with another run, or where a replay goes back to an earlier position.
+    def __init__(self) -> None:
+        self.instance = secrets.token_hex(8)
+        """Changes where a page must forget everything it was sent.
+
+        That is with another run, or where a replay goes back to an earlier position.
         """
-        ...
-
-    @property
-    def edition(self) -> int:
+        self.edition = 0
         """Changes where a page must draw the tracks anew."""
-        ...
 
     @property
     def newest_event(self) -> int:
         """The number of the newest event; 0 before the first."""
-        ...
+        return 0
 
     @property
     def utc_minus_service_s(self) -> float | None:
         """UTC minus the service's clock, s; None where it is not known."""
-        ...
+        return None
 
-    def events_after(self, number: int) -> EventsFrame:
+    def events_after(self, number: int) -> EventsFrame:  # noqa: ARG002 - there are none
         """The events with a higher number."""
-        ...
+        return EventsFrame(events=(), missed=0)
 
     def tracks(self) -> tuple[VehicleHistory, ...]:
         """The last minutes of each vehicle."""
-        ...
+        return ()
 
     def messages(self, *, with_counts: bool) -> list[str]:
         """The latest picture as JSON messages, the `fleet` message and others; empty where there is none yet."""
-        ...
+        raise NotImplementedError
 
 
 class Page:

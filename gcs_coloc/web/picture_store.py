@@ -19,7 +19,7 @@ import numpy as np
 
 from gcs_coloc.core.alarms.alarms import Alarm
 from gcs_coloc.core.messages.outbound import ToOperator
-from gcs_coloc.web.track_history import (
+from gcs_coloc.web.picture import (
     EVENTS_KEPT,
     SAMPLE_COLUMNS,
     Sample,

@@ -18,9 +18,9 @@ from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.mavlink.decoder import HeardTruth
 from gcs_coloc.mavlink.refusals import Counts
 from gcs_coloc.recorder.replay import Replay
-from gcs_coloc.web.picture import fleet_frame
+from gcs_coloc.web.pages import PageSource
+from gcs_coloc.web.picture import LinkRates, fleet_frame, sample
 from gcs_coloc.web.picture_store import PictureStore, StoredPicture
-from gcs_coloc.web.track_history import LinkRates, sample
 from gcs_coloc.web.wire import EventsFrame, PlaybackCommand, PlaybackState, VehicleHistory, fleet_json
 
 _MAX_GAP_S = 600.0
@@ -30,7 +30,7 @@ _COUNTS_PERIOD_S = 1.0  # as on the live page
 OnPoll = Callable[[float, list[Outbound]], None]
 
 
-class Playback:
+class Playback(PageSource):
     """Plays, pauses and seeks in the pictures that a pass has computed so far; a `PageSource`.
 
     A place that is not computed yet is waited for: until then the newest picture that is there is shown.
@@ -41,8 +41,7 @@ class Playback:
 
         `speed` is in recorded seconds a second; infinity is as fast as the pass. `clock` is any steady clock, seconds.
         """
-        self.instance = secrets.token_hex(8)
-        self.edition = 0
+        super().__init__()
         self._store = store
         self._clock = clock
         self._speed = speed

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 
 from gcs_coloc.core.alarms.alarms import Alarm, LightColour
 from gcs_coloc.core.residual_log import RangeSnapshot
-from gcs_coloc.core.snapshot import VehicleSnapshot
+from gcs_coloc.core.snapshot import LinkSnapshot, OutSnapshot, VehicleSnapshot
 from gcs_coloc.core.standby.standby_snapshot import StandbySnapshot
 from gcs_coloc.core.station_review import StationSnapshot
 
@@ -54,33 +54,21 @@ class VehicleFrame:
     truth_enu_m: tuple[float, float, float] | None
 
 
-class LinkFrame(_Wire):
+@dataclass(frozen=True, slots=True)
+class LinkFrame(LinkSnapshot):
     """Frames of one vehicle: totals since the start, and rate and loss over the last seconds.
 
-    Rate and loss are None until known.
+    Rate and loss are None where they cannot be told yet.
     """
 
-    sysid: int
-    received: int
-    lost: int
-    duplicates: int
     rate_hz: float | None
     loss_percent: float | None
 
 
-class OutFrame(_Wire):
-    """The ground tools behind one connection string.
+@dataclass(frozen=True, slots=True)
+class OutFrame(OutSnapshot):
+    """The ground tools behind one connection string: totals since the start, and frames a second lately."""
 
-    `tools` is how many there are now. Frames and refusals are totals since the start.
-    `rate_hz` is how many frames a second are sent to them, None until known.
-    """
-
-    name: str
-    tools: int
-    frames_sent: int
-    frames_accepted: int
-    dropped: int
-    refused: int
     rate_hz: float | None
 
 

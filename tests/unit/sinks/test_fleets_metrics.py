@@ -4,7 +4,7 @@ import pytest
 from prometheus_client import CollectorRegistry, Counter, Gauge, generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 
-from gcs_coloc.sinks.fleets_metrics import MergedMetrics, read_metrics
+from gcs_coloc.sinks.metrics import merged_metrics, read_metrics
 
 
 def process(vehicles: float, refused: float, with_gauge: bool = True) -> str:
@@ -17,10 +17,8 @@ def process(vehicles: float, refused: float, with_gauge: bool = True) -> str:
 
 
 def test_families_of_one_name_are_one_and_each_sample_keeps_its_labels_beside_those_of_its_process():
-    registry = CollectorRegistry()
     parts = [({"fleet": "north"}, read_metrics(process(4, 1))), ({"fleet": "south"}, read_metrics(process(5, 2)))]
-    registry.register(MergedMetrics([({}, read_metrics(process(0, 3, with_gauge=False))), *parts]))
-    text = generate_latest(registry).decode()
+    text = merged_metrics([({}, read_metrics(process(0, 3, with_gauge=False))), *parts]).decode()
     assert text.count("# TYPE vehicles gauge\n") == text.count("# TYPE refused_total counter\n") == 1
     families = {family.name: family for family in text_string_to_metric_families(text)}
     found = {(s.name, s.labels.get("fleet"), s.labels.get("reason")): s.value for f in families.values() for s in f.samples}

@@ -8,7 +8,7 @@ from fleet_views import HEALTHY, LOST, fleet_view
 from rich.console import Console
 
 from gcs_coloc.sinks.fleet_overview import fleet_overview
-from gcs_coloc.sinks.fleets_table import FleetsTable, fleet_line
+from gcs_coloc.sinks.terminal import FleetsTable, fleet_line
 from gcs_coloc.sinks.watched_fleets import WatchedFleets
 
 

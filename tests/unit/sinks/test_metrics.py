@@ -15,8 +15,7 @@ from prometheus_client import generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 
 from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel
-from gcs_coloc.sinks.fleets_metrics import worker_metrics
-from gcs_coloc.sinks.metrics import fleet_registry
+from gcs_coloc.sinks.metrics import fleet_registry, worker_metrics
 
 ROOT = Path(__file__).resolve().parents[3]
 PROMTOOL = shutil.which("promtool", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")

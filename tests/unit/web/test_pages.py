@@ -9,8 +9,7 @@ from fleet_views import fleet_view
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.sinks.event_bus import IdleScheduler
 from gcs_coloc.web.pages import MAX_UNSHOWN, Pages
-from gcs_coloc.web.picture import LiveSource
-from gcs_coloc.web.track_history import TrackHistory
+from gcs_coloc.web.picture import LiveSource, TrackHistory
 
 
 class Browser:

@@ -9,8 +9,8 @@ import pytest
 import uvicorn
 from websockets.asyncio.client import connect
 
-from gcs_coloc.web import request_deadline
-from gcs_coloc.web.request_deadline import MAX_HALF_OPEN, RequestDeadline
+from gcs_coloc.web import server as web_server
+from gcs_coloc.web.server import MAX_HALF_OPEN, RequestDeadline
 
 PATIENCE_S = 60.0
 
@@ -74,7 +74,7 @@ UNFINISHED_BODY = b"POST /body HTTP/1.1\r\nHost: x\r\nContent-Length: 4\r\n\r\n1
 
 @pytest.mark.parametrize("sent", [b"", HEADER, UNFINISHED_BODY])
 def test_a_request_that_is_not_finished_in_time_ends_the_connection(monkeypatch, sent):
-    monkeypatch.setattr(request_deadline, "ANSWERED_WITHIN_S", 0.05)
+    monkeypatch.setattr(web_server, "ANSWERED_WITHIN_S", 0.05)
 
     async def scenario(port):
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
@@ -88,7 +88,7 @@ def test_a_request_that_is_not_finished_in_time_ends_the_connection(monkeypatch,
 
 def test_a_second_request_that_is_not_finished_in_time_ends_the_connection(monkeypatch):
     """Where an answer leaves the connection open, as uvicorn's own may."""
-    monkeypatch.setattr(request_deadline, "ANSWERED_WITHIN_S", 0.5)
+    monkeypatch.setattr(web_server, "ANSWERED_WITHIN_S", 0.5)
 
     async def scenario(port):
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
@@ -102,7 +102,7 @@ def test_a_second_request_that_is_not_finished_in_time_ends_the_connection(monke
 
 
 def test_a_web_socket_has_no_deadline(monkeypatch):
-    monkeypatch.setattr(request_deadline, "ANSWERED_WITHIN_S", 0.5)
+    monkeypatch.setattr(web_server, "ANSWERED_WITHIN_S", 0.5)
 
     async def scenario(port):
         async with connect(f"ws://127.0.0.1:{port}/") as socket:

@@ -7,7 +7,7 @@ from fleet_views import HEALTHY, LOST, fleet_view
 from gcs_coloc.core.alarms.alarms import AlarmList
 from gcs_coloc.core.messages.outbound import HealthChanged, Notice
 from gcs_coloc.core.snapshot import LinkSnapshot
-from gcs_coloc.web.track_history import TrackHistory
+from gcs_coloc.web.picture import TrackHistory
 
 
 def test_an_event_says_whether_an_alarm_was_raised_and_a_notice_is_told_once():

@@ -15,8 +15,6 @@ from gcs_coloc.web.fleets_page import FleetsFrame, FleetsHello
 
 TEXT = (Path(__file__).resolve().parents[3] / "docs/reference/web.md").read_text(encoding="utf-8")
 MODELS = [
-    wire.LinkFrame,
-    wire.OutFrame,
     wire.CountsFrame,
     wire.Event,
     wire.EventsFrame,
@@ -30,6 +28,8 @@ MODELS = [
     FleetShown,
 ]
 VALUES = (
+    wire.LinkFrame,
+    wire.OutFrame,
     wire.Ellipse,
     wire.VehicleFrame,
     wire.FleetFrame,
