@@ -16,7 +16,7 @@ from gcs_coloc.core.alarms.alarms import LightColour
 from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
 from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
-from gcs_coloc.sinks.console import age, called, metres, number, out_line, standby_line
+from gcs_coloc.sinks.fleet_lines import age, called, metres, number, out_line, standby_line
 from gcs_coloc.sinks.watched_fleets import WORST_FIRST, FleetShown, Presence
 
 _LAST_TABLE_S = 1.0

@@ -12,8 +12,9 @@ from rich.console import Console
 
 from gcs_coloc.core.messages.outbound import HealthChanged, Notice
 from gcs_coloc.core.snapshot import FleetSnapshot, OutSnapshot, VehicleSnapshot
-from gcs_coloc.sinks.console import show, vehicle_line
+from gcs_coloc.sinks.console import show
 from gcs_coloc.sinks.event_bus import EventBus
+from gcs_coloc.sinks.fleet_lines import vehicle_line
 from gcs_coloc.sinks.terminal import FleetTables
 
 LOCATED = VehicleSnapshot(
