@@ -156,6 +156,11 @@ class FaultFilters:
         """Return the peers whose ranges are recent enough that they stay in the filters at a time."""
         return [p for p, updated_s in self._updated_s.items() if at_s - updated_s <= self.settings.max_step_s]
 
+    def retain(self, peers: Collection[int]) -> None:
+        """Let all other peers leave the filters with the next update."""
+        for peer in self._updated_s.keys() - set(peers):
+            del self._updated_s[peer]
+
     def exclude(self, excluded: Collection[int]) -> None:
         """Remove excluded peers, and continue from the filter of the likeliest of them."""
         known = [p for p in self.peers if p in excluded]

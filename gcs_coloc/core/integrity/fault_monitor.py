@@ -17,6 +17,7 @@ import numpy as np
 
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior
 from gcs_coloc.core.integrity.epoch_tests.noise_model import AS_STATED, NoiseModel
+from gcs_coloc.core.integrity.epoch_tests.pair_outliers import Pair
 from gcs_coloc.core.integrity.fault_filters import FaultFilters, FaultFilterSettings, LineOfSightResidual
 from gcs_coloc.core.integrity.range_errors import RangeErrorSettings
 from gcs_coloc.core.measurements import FloatArray, RangeMeasurement, Vector3
@@ -96,20 +97,26 @@ class FaultMonitor:
         ranges.sigmas_m.append(m.sigma_m)
         ranges.peer_prior, ranges.own_sigma_v_m, ranges.baseline_m = prior, own.sigma_v_m, baseline_m
 
-    def step(self, at_s: float, excluded: Collection[int], noise: NoiseModel = AS_STATED) -> None:
+    def step(self, at_s: float, excluded: Collection[int], noise: NoiseModel = AS_STATED, tested: Collection[Pair] = ()) -> None:
         """Update the filters with the ranges up to a time, without those to excluded peers.
 
         A vehicle without ranges for `_FORGET_AFTER_S` is dropped. `noise` is how much worse ranges and positions were found to
-        be than they state.
+        be than they state. Of more than `_MAX_PEERS` peers those of the `tested` pairs come first: they locate the vehicle.
         """
         for vehicle, by_peer in self._ranges.items():
             filters = self._filters.setdefault(vehicle, FaultFilters(self.settings.filters))
             filters.exclude(excluded)
             staying = filters.staying(at_s)
-            # Of further peers those with the most ranges; forged ones take no place from those that are in the filters.
-            further = [peer for peer in by_peer if peer not in staying and peer not in excluded]
-            further.sort(key=lambda peer: -len(by_peer[peer].residuals_m))
-            included = sorted([*(by_peer.keys() & staying), *further[: _MAX_PEERS - len(staying)]])
+            of_tests = {b if a == vehicle else a for a, b in tested if vehicle in (a, b)}
+            # Then those that are in the filters, then those with the most ranges: forged ones take no place from either.
+            order = {
+                peer: (peer not in of_tests, peer not in staying, -len(by_peer[peer].residuals_m) if peer in by_peer else 0)
+                for peer in [*staying, *by_peer]
+                if peer not in excluded
+            }
+            kept = sorted(order, key=order.__getitem__)[:_MAX_PEERS]
+            filters.retain(kept)
+            included = sorted(by_peer.keys() & kept)
             if included and at_s > filters.at_s:
                 filters.update({peer: self._residual(by_peer[peer], noise) for peer in included}, at_s)
         self._ranges = {}

@@ -232,8 +232,9 @@ class RangeConsistency:
 
         It does so only where no ranges among other vehicles can test more.
         """
-        self._fault_monitor.step(now_s - self.settings.residuals.wait_s, self.detected | self.identified.keys(), self.noise)
-        pairs, found = (residual.pair for residual in epoch.residuals), frozenset[int]()
+        pairs, found = [residual.pair for residual in epoch.residuals], frozenset[int]()
+        excluded = self.detected | self.identified.keys()
+        self._fault_monitor.step(now_s - self.settings.residuals.wait_s, excluded, self.noise, pairs)
         if not any(not epoch.priors[a].no_prior and not epoch.priors[b].no_prior for a, b in pairs):
             found = self._fault_monitor.detected()
         self._detection.add_monitored(found, now_s, self.settings.detection_hold_s)

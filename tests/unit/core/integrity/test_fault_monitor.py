@@ -37,7 +37,7 @@ class Flight:
             reversed_for,
         )
 
-    def fly(self, from_s, to_s, walk_mps=0.0, excluded=(), own_no_prior=True, device_m=0.0, noise=AS_STATED):
+    def fly(self, from_s, to_s, walk_mps=0.0, excluded=(), own_no_prior=True, device_m=0.0, noise=AS_STATED, tested=()):
         for step in range(round(from_s / STEP_S), round(to_s / STEP_S)):
             t = step * STEP_S
             for peer, a in self.around.items():
@@ -50,7 +50,7 @@ class Flight:
                 ends = [(DENIED, own), (peer, reported)]
                 (i, at_i), (j, at_j) = reversed(ends) if peer in self.reversed_for else ends
                 self.monitor.add_range(RangeMeasurement(i, j, t, t, range_m, 1.0), at_i, at_j)
-            self.monitor.step(t, excluded, noise)
+            self.monitor.step(t, excluded, noise, tested)
         return t
 
 
@@ -159,6 +159,19 @@ def test_of_many_peers_eight_have_filters_and_those_that_have_them_keep_them(mon
     # All have been silent for longer than they stay.
     step(20.0, dict.fromkeys(range(70, 73), 1))
     assert peers_at[-1] == {70, 71, 72}
+
+
+def test_of_many_peers_those_that_are_tested_come_first_and_the_fault_of_one_is_found():
+    """Eleven peers: the filter took the first eight for good, and never looked at those that came to locate the vehicle."""
+    around = {peer: 0.1 + 0.57 * peer for peer in range(1, 12)}
+    first, last = [(DENIED, peer) for peer in range(4, 12)], [(peer, DENIED) for peer in range(1, 9)]
+    for tested, found in ((first, frozenset()), (last, {FAULTY})):
+        monitor = FaultMonitor()
+        flight = Flight(monitor, around=around, towards=around[FAULTY])
+        flight.fly(0.0, 10.0, tested=first)
+        flight.fly(10.0, 20.0, tested=tested)
+        flight.fly(20.0, 30.0, walk_mps=2.0, tested=tested)
+        assert monitor.detected() == found
 
 
 def test_a_dropped_vehicle_and_one_without_ranges_for_half_a_minute_have_no_separation():
