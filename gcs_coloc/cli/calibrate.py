@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from gcs_coloc.cli.recordings import ConfigOption, FleetOption, RangesOption, settings_for, warn_of_damage
+from gcs_coloc.cli.task_options import result_console
 from gcs_coloc.core.errors import DataError, UsageError
 from gcs_coloc.core.stations.node_id import is_station, station_id_of
 from gcs_coloc.evaluation.calibration import Calibration
 from gcs_coloc.evaluation.calibration import calibrate as calibrate_devices
-from gcs_coloc.runtime.output_paths import check_output_file, writing
+from gcs_coloc.runtime.output_files import check_output_file, writing
 
 
 def calibrate(
@@ -50,7 +50,7 @@ def calibrate(
         found = calibrate_devices(data)
     except DataError as error:
         raise DataError(f"{source}: {error}") from None
-    console = Console(width=None if Console().is_terminal else 140)
+    console = result_console()
     console.print(_devices(found, data.names))
     console.print(_pairs(found, data.names))
     text = _as_dataset(found, data.names) if source.is_dir() else _as_configuration(found)

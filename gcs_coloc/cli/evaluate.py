@@ -13,12 +13,18 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from gcs_coloc.cli.recordings import EstimatorOption, FleetOption, settings_for, warn_of_findings
-from gcs_coloc.cli.task_options import JobsOption, ResumeOption, SchedulerOption, kept_in, workers_for
+from gcs_coloc.cli.task_options import (
+    JobsOption,
+    ResumeOption,
+    SchedulerOption,
+    kept_in,
+    progress_of,
+    result_console,
+    workers_for,
+)
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.estimator import GuardedEstimator
 from gcs_coloc.core.measurements import Unlocated
@@ -26,11 +32,10 @@ from gcs_coloc.estimators.registry import load_estimator, plug_in_digest
 from gcs_coloc.evaluation.evaluate import Evaluation
 from gcs_coloc.evaluation.evaluate import Progress as EvaluationProgress
 from gcs_coloc.evaluation.evaluate import evaluate as run_evaluation
-from gcs_coloc.runtime.output_paths import check_output_file, writing
+from gcs_coloc.runtime.output_files import check_output_file, writing
 from gcs_coloc.runtime.tasks import run_tasks
 
 _MOST_REASONS = 3  # chosen: one line of a terminal
-_FILE_WIDTH = 140  # of a table that goes to a file or pipe
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,13 +76,7 @@ def evaluate(
     settings = settings_for(config, fleet, estimator)
     workers = workers_for(jobs, scheduler)
     run = partial(_evaluate, settings.estimator.name, settings.estimator.settings)
-    # On stderr: stdout is for the result.
-    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as bars:
-        task = bars.add_task(directories[0].name if len(directories) == 1 else "data sets", total=None)
-
-        def show(done: int, total: int) -> None:
-            bars.update(task, completed=done, total=total)
-
+    with progress_of(directories[0].name if len(directories) == 1 else "data sets") as show:
         # One data set in this process shows how far into its measurements it is.
         if len(directories) == 1 and scheduler is None and resume is None:
             evaluated = [run(DataSetTask(directories[0]), show)]
@@ -99,7 +98,7 @@ def evaluate(
         whole = [evaluation.as_dict() for evaluation in evaluations]
         print(json.dumps(whole if len(whole) > 1 else whole[0], indent=2))
     elif len(evaluations) > 1:
-        Console(width=None if sys.stdout.isatty() else _FILE_WIDTH).print(_table(evaluations))
+        result_console().print(_table(evaluations))
     else:
         _print(evaluations[0])
 

@@ -11,18 +11,15 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from gcs_coloc.cli.recordings import EstimatorOption, FleetOption, settings_for
-from gcs_coloc.cli.task_options import JobsOption, SchedulerOption, workers_for
+from gcs_coloc.cli.task_options import JobsOption, SchedulerOption, progress_of, result_console, workers_for
 from gcs_coloc.recorder.judging.comparison import FIGURES, Aspect, ChangeOutcome, FigureChange, Tolerance, compare
 from gcs_coloc.recorder.judging.judge_run import judge as judge_all
 from gcs_coloc.recorder.judging.judge_run import judged_with, read_baseline, write_baseline
-from gcs_coloc.recorder.judging.judged_flight import JudgedFlight
-from gcs_coloc.recorder.judging.recordings_below import find_recordings
-from gcs_coloc.runtime.output_paths import check_output_file, make_output_directory
+from gcs_coloc.recorder.judging.judged_flight import JudgedFlight, find_recordings
+from gcs_coloc.runtime.output_files import check_output_file, make_output_directory
 
 _WORSE = 3
 _TOLERANCE = Tolerance()
@@ -66,18 +63,14 @@ def judge(
     make_output_directory(out, "--out")
     before = read_baseline(baseline) if baseline is not None else None
     recordings = find_recordings(directories)
-    # On stderr: stdout is for the result.
-    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as bars:
-        task = bars.add_task("judging", total=None)
-        flights = judge_all(
-            settings, recordings, out, workers, lambda done, total: bars.update(task, completed=done, total=total)
-        )
+    with progress_of("judging") as show:
+        flights = judge_all(settings, recordings, out, workers, show)
     for flight in flights:
         if flight.error:
             print(f"gcs-coloc: warning: {flight.name}: {flight.error}", file=sys.stderr)
     if write is not None:
         write_baseline(write, settings, flights)
-    console = Console(width=None if sys.stdout.isatty() else _FILE_WIDTH)
+    console = result_console(_FILE_WIDTH)
     console.print(_figures_table(flights))
     print(_summary(flights))
     changes: list[FigureChange] = []

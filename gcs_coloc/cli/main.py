@@ -240,7 +240,7 @@ def run(
     if supervisor is not None and fleet is not None:
         _work(fleets[0], supervisor, level, terminal)
     elif fleet is None and fleets[0].settings.service.processes == PER_FLEET:
-        from gcs_coloc.service.checks import check_fleets
+        from gcs_coloc.cli.preflight import check_fleets
         from gcs_coloc.service.supervisor import Supervisor
 
         check_fleets(config, fleets)  # what is wrong from the start ends it here, and no worker is started again and again for it

@@ -9,11 +9,17 @@ from pathlib import Path
 from typing import Annotated, TypeVar
 
 import typer
-from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
-from gcs_coloc.cli.task_options import JobsOption, ResumeOption, SchedulerOption, kept_in, workers_for
+from gcs_coloc.cli.task_options import (
+    JobsOption,
+    ResumeOption,
+    SchedulerOption,
+    kept_in,
+    progress_of,
+    result_console,
+    workers_for,
+)
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.measurements import VehicleClass
 from gcs_coloc.core.stations.node_id import MAX_STATION_ID
@@ -23,7 +29,7 @@ from gcs_coloc.planning.fleet_plan import FleetPlan
 from gcs_coloc.planning.improvement import find_improvement, no_improvement
 from gcs_coloc.planning.load import load_plan
 from gcs_coloc.planning.mission import LEAST_SPEED_MPS, MOST_SPEED_MPS, ListedStation, PerVehicle
-from gcs_coloc.runtime.output_paths import check_output_file, writing
+from gcs_coloc.runtime.output_files import check_output_file, writing
 
 _FILE_WIDTH = 160  # of a table that goes to a file or pipe
 _NOT_ENOUGH = 3
@@ -108,16 +114,11 @@ def plan(
     if len(fleet.vehicles) + len(fleet.stations) < 2:
         raise UsageError("one vehicle alone has nothing to range: give more plans, or --station")
     workers, kept = workers_for(jobs, scheduler), kept_in(resume)
-    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as bars:
-        task = bars.add_task("predicting", total=None)
-
-        def show(done: int, total: int) -> None:
-            bars.update(task, completed=done, total=total)
-
+    with progress_of("predicting") as show:
         assessed = assess(fleet, pairs=pairs, workers=workers, progress=show, kept=kept)
-        improvement = None
-        if improve:
-            task = bars.add_task("looking for a change that helps", total=None)
+    improvement = None
+    if improve:
+        with progress_of("looking for a change that helps") as show:
             improvement = find_improvement(assessed, workers, show, kept)
     if csv is not None:
         with writing(csv, "--csv"):
@@ -133,7 +134,7 @@ def plan(
     if as_json:
         print(json.dumps(plan_tables.as_dict(assessed, improvement), indent=2, allow_nan=False))
     else:
-        Console(width=None if sys.stdout.isatty() else _FILE_WIDTH).print(_table(fleet, assessed))
+        result_console(_FILE_WIDTH).print(_table(fleet, assessed))
         if improvement is not None:
             print(f"What helps most: {improvement.text}.")
         elif improve and (none := no_improvement(assessed)):

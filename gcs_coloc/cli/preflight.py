@@ -5,19 +5,23 @@ from __future__ import annotations
 import asyncio
 import json
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from gcs_coloc.config.examples import EXAMPLES
-from gcs_coloc.config.fleets import PER_FLEET, load_fleets, load_settings
+from gcs_coloc.config.fleets import PER_FLEET, FleetOf, load_fleets, load_settings
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.stations.node_id import LARGEST_READ_SYSTEM_ID
 from gcs_coloc.doctor.finding import Setup
 from gcs_coloc.doctor.listen import listen
 from gcs_coloc.doctor.parameter_files import write_parameter_files
 from gcs_coloc.doctor.report import Report
+from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.links.base import check_outs
+from gcs_coloc.links.signed_links import SignedLinks, read_key
 from gcs_coloc.runtime.clock import ServiceClock, read_host_clock
 
 
@@ -26,8 +30,6 @@ def check_config(file: Annotated[Path, typer.Argument(help="The configuration fi
 
     Its keys, values, links and estimator are checked, and every file that it names.
     """
-    from gcs_coloc.service.checks import check_fleets
-
     fleets = load_fleets(file, {})
     check_fleets(file, fleets)
     found = []
@@ -101,3 +103,31 @@ def doctor(
             print("no parameter file is written: there is nothing to set", file=sys.stderr)
     if not report.is_ready:
         raise typer.Exit(1)
+
+
+def check_fleets(path: Path | None, fleets: Iterable[FleetOf]) -> None:
+    """Check each fleet of the configuration file `path`, and read every file that it names.
+
+    Raises:
+        GcsColocError: something is wrong; the text names the fleet, the setting and the remedy.
+    """
+    # Here, as nothing else in this module needs the packages of page and broker.
+    from gcs_coloc.sinks.broker_connection import read_credentials
+    from gcs_coloc.web.server import read_token
+    from gcs_coloc.web.tiles import TileFile
+
+    for fleet in fleets:
+        settings = fleet.settings
+        with fleet.named():
+            if not settings.links:
+                raise UsageError(f'{path}: no link to listen on; write links = ["udpin:0.0.0.0:14550"], or another link, into it')
+            check_outs(settings.out, settings.links)
+            SignedLinks(settings.signing, settings.links, settings.out)
+            load_estimator(settings.estimator.name, settings.estimator.settings)
+            read_credentials(settings.mqtt)
+            if settings.standby.key_file:
+                read_key(Path(settings.standby.key_file))
+            if settings.web.token_file:
+                read_token(Path(settings.web.token_file))
+            if settings.web.tiles:
+                TileFile(Path(settings.web.tiles)).close()

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.progress import Progress
 
-from gcs_coloc.cli.task_options import JobsOption, ResumeOption, SchedulerOption, kept_in, workers_for
+from gcs_coloc.cli.task_options import (
+    JobsOption,
+    ResumeOption,
+    SchedulerOption,
+    kept_in,
+    progress_of,
+    result_console,
+    workers_for,
+)
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.runtime.output_paths import check_output_file, make_output_directory, writing
+from gcs_coloc.runtime.output_files import check_output_file, make_output_directory, writing
 from gcs_coloc.study.paper_options import PaperOptions, QForm, QUnit
-
-_FILE_WIDTH = 140  # of tables that go to a file or pipe
 
 app = typer.Typer(
     name="study",
@@ -76,9 +80,7 @@ def paper(
     )
     if q:
         options = replace(options, qs=tuple(q), figure_q=5.0 if 5.0 in q else q[0])
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=_FILE_WIDTH)
+    console = result_console()
     with Progress(console=console) as progress:
         task = progress.add_task("flying", total=None)
         result = study.run_paper_study(
@@ -149,9 +151,7 @@ def integrity(
     if seeds is None and hours is None:
         seeds = 2
     options = RunOptions(out, tuple(classes or CLASSES), first_seed, seeds, hours, workers_for(jobs, scheduler), estimator)
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=_FILE_WIDTH)
+    console = result_console()
     check_output_file(trace, "--trace")
     if trace is not None:
         if len(options.classes) != 1:
@@ -197,23 +197,12 @@ def planning(
     for name in names:
         if name not in CHECK_PLANS:
             raise UsageError(f"--plan {name}: there is no such plan; there are {', '.join(CHECK_PLANS)}")
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=_FILE_WIDTH)
-    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as progress:
-        task = progress.add_task("flying", total=None)
-        checks: list[PlanCheck] = run_checks(
-            names,
-            flights,
-            first_seed,
-            workers,
-            lambda done, total: progress.update(task, completed=done, total=total),
-            kept_in(resume),
-        )
+    with progress_of("flying") as show:
+        checks: list[PlanCheck] = run_checks(names, flights, first_seed, workers, show, kept_in(resume))
     if as_json:
         print(json.dumps([asdict(check) for check in checks], indent=2))
         return
-    console.print(check_table(checks))
+    result_console().print(check_table(checks))
     told = [window for check in checks for window in check.told]
     windows = sum(len(check.windows) for check in checks)
     close = sum(window.is_close for window in told)
@@ -245,23 +234,11 @@ def readiness(
     from gcs_coloc.study.readiness_check import CHECKED, check_table, run_checks
 
     names = classes if classes is not None else () if recording else CHECKED
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=_FILE_WIDTH)
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("flying", total=None)
-        losses = run_checks(
-            names,
-            recording or (),
-            seeds,
-            workers_for(jobs, scheduler),
-            lambda done, total: progress.update(task, completed=done, total=total),
-            from_s,
-            first_seed,
-            kept_in(resume),
-        )
+    workers = workers_for(jobs, scheduler)
+    with progress_of("flying") as show:
+        losses = run_checks(names, recording or (), seeds, workers, show, from_s, first_seed, kept_in(resume))
     if as_json:
         print(json.dumps([asdict(loss) for loss in losses], indent=2))
         return
-    console.print(check_table(losses))
+    result_console().print(check_table(losses))
     print(f"{seeds} losses of each, seeds from {first_seed}; 30 s after the loss, told before it")

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.messages.inbound import Autopilot
 from gcs_coloc.doctor.finding import Setup, VehicleSurvey
 from gcs_coloc.doctor.report import of_vehicle
+from gcs_coloc.runtime.output_files import make_output_directory, writing
 
 _REAL32 = 9
 """MAV_PARAM_TYPE_REAL32 (MAVLink common.xml)."""
@@ -43,16 +43,14 @@ def write_parameter_files(directory: Path, vehicles: tuple[VehicleSurvey, ...], 
         UsageError: a file cannot be written; the text says why.
     """
     fleet = frozenset(vehicle.sysid for vehicle in vehicles)
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
+    make_output_directory(directory, "--write-params")
+    with writing(directory, "--write-params"):
         for vehicle in vehicles:
             changes = parameters_to_set(vehicle, setup, fleet)
             for name, text in _files(vehicle, changes).items():
                 path = directory / name
                 path.write_text(text, encoding="ascii", errors="replace")
                 yield path
-    except OSError as error:
-        raise UsageError(f"--write-params {directory}: cannot be written to: {error.strerror}") from None
 
 
 def _files(vehicle: VehicleSurvey, changes: Mapping[str, tuple[float, str]]) -> dict[str, str]:

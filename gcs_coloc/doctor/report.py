@@ -14,8 +14,7 @@ from gcs_coloc.core.readiness.vehicle_readiness import LimitingReason, Readiness
 from gcs_coloc.core.stations.node_id import is_station, node_name
 from gcs_coloc.doctor import ardupilot_checks, px4_checks, stream_checks
 from gcs_coloc.doctor.finding import Finding, FleetSurvey, Setup, Severity, VehicleSurvey, note, right, stop
-from gcs_coloc.doctor.parameters import SENDERS_OPTION, look_up
-from gcs_coloc.doctor.ports import FORWARDS_UNKNOWN, serial_ports
+from gcs_coloc.doctor.parameters import FORWARDS_UNKNOWN, SENDERS_OPTION, look_up, serial_ports
 from gcs_coloc.mavlink.refusals import Refusal
 
 _ORDER = (Severity.STOP, Severity.NOTE, Severity.RIGHT)

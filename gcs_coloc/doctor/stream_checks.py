@@ -8,8 +8,7 @@ from gcs_coloc.core.messages.inbound import FIX_3D, Autopilot
 from gcs_coloc.core.messages.outbound import Stream
 from gcs_coloc.core.telemetry.stream_requests import wanted_hz
 from gcs_coloc.doctor.finding import Finding, VehicleSurvey, note, right, stop
-from gcs_coloc.doctor.parameters import GPS_TYPE, look_up
-from gcs_coloc.doctor.ports import STREAMS, instances, serial_ports
+from gcs_coloc.doctor.parameters import GPS_TYPE, STREAMS, instances, look_up, serial_ports
 from gcs_coloc.mavlink.encoder import STREAM_IDS
 
 _RATES_OF = {

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
-from gcs_coloc.core.errors import UsageError
 from gcs_coloc.evaluation.evaluate import Evaluation, VehicleEvaluation
-from gcs_coloc.runtime.drawing import new_figure, save_figure
+from gcs_coloc.runtime.output_files import new_figure, save_figure, writing
 
 _COLUMNS = ("dataset", "estimator", "id", "t_s", "e_m", "n_m", "u_m", "sigma_e_m", "sigma_n_m", "sigma_u_m", "bound_95_m",
             "true_e_m", "true_n_m", "true_u_m", "error_h_m", "error_3d_m")  # fmt: skip
@@ -26,24 +25,21 @@ def write_epochs(evaluations: Sequence[Evaluation], path: Path | str) -> None:
     Raises:
         UsageError: the file cannot be written.
     """
-    try:
-        with Path(path).open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(_COLUMNS)
-            for evaluation in evaluations:
-                for vehicle in evaluation.denied:
-                    series = vehicle.series
-                    for t, true, here, P in zip(
-                        series.times_s, series.truth_enu_m, series.estimate_enu_m, series.covariance_m2, strict=True
-                    ):
-                        sigmas = np.sqrt(np.diag(P))
-                        bound_m = horizontal_bound_95_m(P) if np.isfinite(P).all() else np.nan
-                        errors = (np.linalg.norm((here - true)[:2]), np.linalg.norm(here - true))
-                        numbers = (*here, *sigmas, bound_m, *true, *errors)
-                        cells = ("" if np.isnan(x) else f"{x:.4f}" for x in numbers)
-                        writer.writerow((evaluation.dataset, evaluation.estimator, vehicle.node.id, f"{t:.4f}", *cells))
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be written: {error.strerror or error}") from error
+    with writing(Path(path), ""), Path(path).open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(_COLUMNS)
+        for evaluation in evaluations:
+            for vehicle in evaluation.denied:
+                series = vehicle.series
+                for t, true, here, P in zip(
+                    series.times_s, series.truth_enu_m, series.estimate_enu_m, series.covariance_m2, strict=True
+                ):
+                    sigmas = np.sqrt(np.diag(P))
+                    bound_m = horizontal_bound_95_m(P) if np.isfinite(P).all() else np.nan
+                    errors = (np.linalg.norm((here - true)[:2]), np.linalg.norm(here - true))
+                    numbers = (*here, *sigmas, bound_m, *true, *errors)
+                    cells = ("" if np.isnan(x) else f"{x:.4f}" for x in numbers)
+                    writer.writerow((evaluation.dataset, evaluation.estimator, vehicle.node.id, f"{t:.4f}", *cells))
 
 
 def plot_evaluation(evaluation: Evaluation, path: Path | str) -> None:

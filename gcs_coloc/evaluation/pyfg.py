@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from gcs_coloc.core.errors import DataError, UsageError
+from gcs_coloc.runtime.output_files import writing
 
 _POSES = {"VERTEX_SE2": 2, "VERTEX_SE3:QUAT": 3}
 _LANDMARKS = {"VERTEX_XY": 2, "VERTEX_XYZ": 3}
@@ -86,14 +87,12 @@ def import_pyfg(file: Path, directory: Path, denied: Collection[str], peer_sigma
             positions.append((_s(t - start_s), robot, *map(_m, noisy), peer_sigma_m, peer_sigma_m))
     truth = [(_s(t - start_s), robot, *map(_m, place)) for robot in located for t, *place in sorted(graph.poses[robot])]
     ranges = [(_s(t - start_s), a, b, _m(range_m), _m(sigma_m)) for t, a, b, range_m, sigma_m in sorted(graph.ranges)]
-    try:
+    with writing(directory, ""):
         directory.mkdir(parents=True, exist_ok=True)
         (directory / "meta.toml").write_text(_meta(file, graph, located, peers), encoding="utf-8")
         _write(directory / "positions.csv", "t_s,id,e_m,n_m,u_m,sigma_h_m,sigma_v_m", positions)
         _write(directory / "ranges.csv", "t_s,from_id,to_id,range_m,sigma_m", ranges)
         _write(directory / "truth.csv", "t_s,id,e_m,n_m,u_m", truth)
-    except OSError as error:
-        raise UsageError(f"{error.filename or directory}: cannot be written: {error.strerror or error}") from error
     return Imported(located, peers, len(graph.landmarks), len(ranges), tuple(graph.wrong))
 
 

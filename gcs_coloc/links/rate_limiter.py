@@ -2,11 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass, field
+from itertools import chain, takewhile
+from typing import TypeVar
 
-from gcs_coloc.links.eviction import find_evicted
 from gcs_coloc.mavlink.refusals import Counts, Refusal
+
+Key = TypeVar("Key")
+
+
+def find_evicted(
+    by_age: Iterable[Key], *, is_silent: Callable[[Key], bool], is_proven: Callable[[Key], bool], for_proven: bool
+) -> Key | None:
+    """Return the entry that makes room for a new one; None where none does.
+
+    `by_age` has the keys, that of the longest silent first. Silent entries go first, among them the unproven ones.
+    An entry that is not silent goes only if it is unproven, and only for a proven vehicle (`for_proven`).
+    So a flood of new senders keeps no known vehicle out.
+    """
+    keys = list(by_age)
+    silent = list(takewhile(is_silent, keys))
+    rest = keys[len(silent) :] if for_proven else []
+    candidates = chain((key for key in silent if not is_proven(key)), silent, (key for key in rest if not is_proven(key)))
+    return next(candidates, None)
+
 
 BURST_S = 0.25
 """A source may send the bytes of this time at once. Chosen: what a radio buffers, and more than the largest datagram needs."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from gcs_coloc.core.messages.control import RouteBlock
 from gcs_coloc.links.base import Address, Link, Route
-from gcs_coloc.links.eviction import find_evicted
+from gcs_coloc.links.rate_limiter import find_evicted
 from gcs_coloc.mavlink.refusals import Counts, Refusal
 
 SHARED_MEMORY_S = 60.0

@@ -29,7 +29,7 @@ _LONGEST_GAP_S = 600.0
 class Replay:
     """An engine driven through a recording, one message after the other; the caller decides how fast.
 
-    `now_s` is the service time (UNIX s) that was reached.
+    `now_s` is the service time (UNIX s) that was reached; `messages` is what comes out of the recording.
 
     However it is stepped and advanced, the engine does the same at the same recorded times.
     """
@@ -59,29 +59,9 @@ class Replay:
         """
         self.engine = engine
         self._on_poll = on_poll
-        self._messages = RecordedMessages(log, ranges, own, flown_with)
+        self.messages = RecordedMessages(log, ranges, own, flown_with)
         self.now_s = self._held_up_until_s = float("-inf")
-        self._next = self._messages.next()
-
-    @property
-    def counts(self) -> ReplayCounts:
-        """The counts so far."""
-        return self._messages.counts
-
-    @property
-    def log(self) -> TlogReader:
-        """The recording; its counts hold the damage found so far."""
-        return self._messages.log
-
-    @property
-    def decoder(self) -> Decoder:
-        """The decoder of the recording's frames."""
-        return self._messages.decoder
-
-    @property
-    def truths(self) -> dict[int, HeardTruth]:
-        """The true positions that a simulation sent, by system id."""
-        return self._messages.truths
+        self._next = self.messages.next()
 
     @property
     def next_s(self) -> float | None:
@@ -94,20 +74,16 @@ class Replay:
         message, at_s = self._next, self.next_s
         assert message is not None
         assert at_s is not None
+        self.advance(at_s)
         if isinstance(message, Overrun):
-            self._advance(at_s)
             self._held_up_until_s = message.until_s
         else:
-            self._advance(at_s)
             self.engine.receive(message)
-            self.counts.messages += 1
-        self._next = self._messages.next()
+            self.messages.counts.messages += 1
+        self._next = self.messages.next()
 
     def advance(self, to_s: float) -> None:
         """Advance the engine to a service time (UNIX s) before the next message."""
-        self._advance(to_s)
-
-    def _advance(self, to_s: float) -> None:
         self.now_s = max(self.now_s, to_s)
         for at_s, outputs in advance(self.engine, to_s, self._held_up_until_s):
             self._on_poll(at_s, outputs)
@@ -142,7 +118,7 @@ def replay(
     while (at_s := through.next_s) is not None:
         pace(at_s)
         through.step()
-    return through.counts
+    return through.messages.counts
 
 
 @dataclass(slots=True)

@@ -6,9 +6,10 @@ import contextlib
 import errno
 import gc
 import os
+import signal
 import stat
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from gcs_coloc.core.errors import ConfigError
@@ -114,3 +115,18 @@ def read_private_file(path: Path, what: str, setting: str = "") -> bytes:
             return file.read(_MAX_SECRET_BYTES)
     except OSError as error:
         raise ConfigError(f"{where}: {what} cannot be read: {error.strerror}") from None
+
+
+def stop_on_signals(stop: Callable[[], None]) -> None:
+    """Have Ctrl-C, SIGTERM and SIGHUP call `stop`, in the event loop that runs.
+
+    SIGHUP: the terminal was closed or its connection broke, and the aided vehicles must learn of it. Under nohup, which has it
+    ignored, the flight goes on.
+    """
+    import asyncio  # not above: this module is read before garbage is collected seldom
+
+    ending = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        ending.append(signal.SIGHUP)
+    for sign in ending:
+        asyncio.get_running_loop().add_signal_handler(sign, stop)

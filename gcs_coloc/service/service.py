@@ -16,9 +16,8 @@ from gcs_coloc.core.errors import GcsColocError, WebError
 from gcs_coloc.core.messages.control import CommandSource
 from gcs_coloc.recorder.journal import EVERY_S
 from gcs_coloc.runtime.clock import ServiceClock, read_host_clock
-from gcs_coloc.runtime.process import exclude_start
+from gcs_coloc.runtime.process import exclude_start, stop_on_signals
 from gcs_coloc.service.fleet_service import FleetService
-from gcs_coloc.service.signals import stop_on_signals
 from gcs_coloc.sinks import console as console_sink
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from prometheus_client.core import Metric
 
 from gcs_coloc.config.fleets import FleetOf
 from gcs_coloc.core.errors import WebError
-from gcs_coloc.service.signals import stop_on_signals
+from gcs_coloc.runtime.process import stop_on_signals
 from gcs_coloc.service.worker import Worker, WorkerReport
 from gcs_coloc.sinks.event_bus import IdleScheduler
 from gcs_coloc.sinks.metrics import merged_metrics, read_metrics, worker_metrics

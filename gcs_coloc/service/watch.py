@@ -10,8 +10,7 @@ import logging
 import time
 
 from gcs_coloc.config.service_sections import MqttConfig, WebConfig
-from gcs_coloc.runtime.process import exclude_start
-from gcs_coloc.service.signals import stop_on_signals
+from gcs_coloc.runtime.process import exclude_start, stop_on_signals
 from gcs_coloc.sinks.event_bus import IdleScheduler
 from gcs_coloc.sinks.mqtt_watch import MqttWatch
 from gcs_coloc.sinks.terminal import FleetsTable, LiveTable, SharedConsole, fleet_line

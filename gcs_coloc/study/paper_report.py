@@ -13,9 +13,7 @@ import numpy as np
 from rich.table import Table
 
 from gcs_coloc import __version__
-from gcs_coloc.core.errors import UsageError
-from gcs_coloc.runtime.drawing import new_figure, save_figure
-from gcs_coloc.runtime.output_paths import make_output_directory
+from gcs_coloc.runtime.output_files import make_output_directory, new_figure, save_figure, writing
 from gcs_coloc.study.paper import FLEET, FilterScore, PaperStudy, Row
 
 TITLES = {
@@ -57,12 +55,10 @@ def write(study: PaperStudy, out_dir: Path) -> list[Path]:
     Raises:
         UsageError: the directory or a file cannot be written, or matplotlib is not installed.
     """
-    try:
-        make_output_directory(out_dir, "--out")
+    make_output_directory(out_dir, "--out")
+    with writing(out_dir, ""):
         files = [_write_csv(study, out_dir / "table2.csv"), _write_json(study, out_dir / "study.json")]
         return [*files, *_draw_figures(study, out_dir)]
-    except OSError as error:
-        raise UsageError(f"{out_dir}: cannot be written: {error}") from error
 
 
 def _table_2(study: PaperStudy, title: str, *, whole: bool) -> Table:

@@ -22,7 +22,7 @@ from gcs_coloc.core.measurements import Estimate, FloatArray
 from gcs_coloc.core.messages.control import GpsOverride, OperatorCommand
 from gcs_coloc.core.readiness.vehicle_readiness import HORIZON_S, ReadinessState, VehicleReadiness
 from gcs_coloc.estimators.registry import load_estimator
-from gcs_coloc.recorder.judging.recordings_below import find_recording
+from gcs_coloc.recorder.judging.judged_flight import find_recording
 from gcs_coloc.recorder.replay import Replay
 from gcs_coloc.recorder.side_tables import read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader

@@ -188,7 +188,7 @@ class ReplayPass:
     @property
     def damage(self) -> Counts:
         """What of the recording could not be read so far, by kind."""
-        return self._replay.log.counts
+        return self._replay.messages.log.counts
 
     def stop(self) -> None:
         """End `run` at the next message."""
@@ -248,7 +248,7 @@ class ReplayPass:
             self._counts_due_s = at_s + _COUNTS_PERIOD_S
             self._rates.update(fleet)
             self._counts = self._rates.counts(fleet).model_dump_json().encode()
-        truths = (self._replay.truths | self._truths_at(at_s)).values()
+        truths = (self._replay.messages.truths | self._truths_at(at_s)).values()
         self._store.add_samples(at_s, [(v.sysid, sample(v, at_s)) for v in fleet.vehicles])
         self._store.add_picture(
             at_s, fleet_json(fleet_frame(fleet, self._alarms, truths)), self._counts, fleet.utc_minus_service_s
@@ -257,5 +257,5 @@ class ReplayPass:
     def _snapshot(self, at_s: float) -> FleetSnapshot:
         replay = self._replay
         fleet = replay.engine.snapshot(at_s)
-        links = replay.decoder.sequences.links({vehicle.sysid for vehicle in fleet.vehicles})
-        return replace(fleet, refused=fleet.refused | dict(replay.decoder.counts), links=links)
+        links = replay.messages.decoder.sequences.links({vehicle.sysid for vehicle in fleet.vehicles})
+        return replace(fleet, refused=fleet.refused | dict(replay.messages.decoder.counts), links=links)

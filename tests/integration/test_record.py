@@ -22,8 +22,8 @@ from bench.free_ports import free_port as free_port_of
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.outbound import GpsInput
 from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.recorder.formats.mcap_file import as_json
 from gcs_coloc.recorder.journal import Journal, VehicleEntry
-from gcs_coloc.recorder.journal_json import as_json
 from gcs_coloc.recorder.replay import Replay, replay
 from gcs_coloc.recorder.tlog import TlogReader
 

@@ -14,10 +14,10 @@ from typing import Any
 
 import gcs_coloc
 from gcs_coloc.config.settings import Settings
-from gcs_coloc.core.errors import DataError, UsageError
+from gcs_coloc.core.errors import DataError
 from gcs_coloc.estimators.registry import plug_in_digest
-from gcs_coloc.recorder.judging.judged_flight import JudgedBy, JudgedFlight, judge_flight
-from gcs_coloc.recorder.judging.recordings_below import FoundRecording
+from gcs_coloc.recorder.judging.judged_flight import FoundRecording, JudgedBy, JudgedFlight, judge_flight
+from gcs_coloc.runtime.output_files import writing
 from gcs_coloc.runtime.program import program_digest
 from gcs_coloc.runtime.tasks import Workers, iterate_tasks
 
@@ -57,20 +57,18 @@ def judge(
     known = _read_known(path, header)
     judged = {r.name: known[r.name] for r in recordings if r.name in known and known[r.name].digest == r.digest}
     done(len(judged), len(recordings))
-    try:
+    # The longest first, so that no core waits for one at the end.
+    missing = sorted((r for r in recordings if r.name not in judged), key=lambda r: -r.file.stat().st_size)
+    with writing(path, ""):
         # What another program judged, or is of a file that has changed, is of no use any more.
         lines = [json.dumps(header), *(json.dumps(asdict(flight)) for flight in judged.values())]
         path.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
-        # The longest first, so that no core waits for one at the end.
-        missing = sorted((r for r in recordings if r.name not in judged), key=lambda r: -r.file.stat().st_size)
         with path.open("a", encoding="utf-8") as file:
             for flight in iterate_tasks(partial(judge_flight, JudgedBy.of(settings)), missing, workers):
                 file.write(json.dumps(asdict(flight)) + "\n")
                 file.flush()
                 judged[flight.name] = flight
                 done(len(judged), len(recordings))
-    except OSError as error:
-        raise UsageError(f"{error.filename or path}: {error.strerror or error}") from error
     return [judged[recording.name] for recording in recordings]
 
 
@@ -95,10 +93,8 @@ def write_baseline(path: Path, settings: Settings, flights: Sequence[JudgedFligh
         UsageError: it cannot be written.
     """
     content = {"judged_with": judged_with(settings), "recordings": [asdict(flight) for flight in flights]}
-    try:
+    with writing(path, ""):
         path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def read_baseline(path: Path) -> tuple[dict[str, str], list[JudgedFlight]]:

@@ -12,11 +12,11 @@ from pathlib import Path
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
-from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.gps_health.gps_health import DISTRUSTED, GpsState
 from gcs_coloc.core.measurements import Estimate
 from gcs_coloc.core.messages.outbound import GpsInput
 from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.runtime.output_files import writing
 from gcs_coloc.study.integrity.flight_classes import CLASSES
 from gcs_coloc.study.integrity.simulated_fleet import SimulatedFleet
 
@@ -140,13 +140,10 @@ def write_trace(name: str, seed: int, estimator: str, path: Path) -> TrialScore:
     Raises:
         UsageError: the file cannot be written.
     """
-    try:
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, [column.name for column in fields(TrialSample)])
-            writer.writeheader()
-            return fly_trial(name, seed, estimator, lambda sample: writer.writerow(asdict(sample)))
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be written: {error.strerror or error}") from error
+    with writing(path, ""), path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, [column.name for column in fields(TrialSample)])
+        writer.writeheader()
+        return fly_trial(name, seed, estimator, lambda sample: writer.writerow(asdict(sample)))
 
 
 class _Trial:

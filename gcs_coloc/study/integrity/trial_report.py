@@ -17,7 +17,7 @@ from rich.table import Table
 from scipy.stats import chi2
 
 from gcs_coloc import __version__
-from gcs_coloc.core.errors import UsageError
+from gcs_coloc.runtime.output_files import writing
 from gcs_coloc.study.integrity.flight_classes import CLASSES, Group
 from gcs_coloc.study.integrity.trial import FLIGHT_S, TIME_TO_ALERT_S, EventKind, TrialScore
 from gcs_coloc.study.integrity.trial_runs import RunOptions, flown_with
@@ -180,10 +180,8 @@ def write_report(options: RunOptions, scores: Sequence[TrialScore], results: Seq
         "results": [asdict(result) for result in results],
         "events": [{"class": score.name, "seed": score.seed} | asdict(event) for score in scores for event in score.events],
     }
-    try:
+    with writing(path, ""):
         path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be written: {error.strerror or error}") from error
     return path
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from gcs_coloc.core.errors import DataError, UsageError
 from gcs_coloc.estimators.registry import plug_in_digest
-from gcs_coloc.runtime.output_paths import make_output_directory
+from gcs_coloc.runtime.output_files import make_output_directory, writing
 from gcs_coloc.runtime.program import program_digest
 from gcs_coloc.runtime.tasks import Workers, iterate_tasks
 from gcs_coloc.study.integrity.flight_classes import CLASSES
@@ -94,16 +94,13 @@ def run_trials(options: RunOptions, done: Done) -> list[TrialScore]:
                     yield name, seed
 
     make_output_directory(options.out, "--out")
-    try:
-        with path.open("a", encoding="utf-8") as file:
-            if file.tell() == 0:
-                file.write(json.dumps(header) + "\n")
-            for score in iterate_tasks(partial(_fly, estimator=options.estimator), missing(), options.workers):
-                file.write(json.dumps(asdict(score)) + "\n")
-                file.flush()
-                collect(score)
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be written: {error.strerror or error}") from error
+    with writing(path, ""), path.open("a", encoding="utf-8") as file:
+        if file.tell() == 0:
+            file.write(json.dumps(header) + "\n")
+        for score in iterate_tasks(partial(_fly, estimator=options.estimator), missing(), options.workers):
+            file.write(json.dumps(asdict(score)) + "\n")
+            file.flush()
+            collect(score)
     order = {name: place for place, name in enumerate(CLASSES)}
     return sorted(scores, key=lambda score: (order[score.name], score.seed))
 

@@ -65,6 +65,6 @@ def test_the_engine_answers_the_same_with_and_without_the_truth_on_the_wire(tmp_
         through = Replay(engine, TlogReader(path), [], lambda *polled, told=outputs: told.append(polled))
         replay(through)
         answers.append((outputs, engine.snapshot(EPOCH_S + 28.0)))
-        assert set(through.truths) == ({1, 2, 3, 4} if path is with_truth else set())
+        assert set(through.messages.truths) == ({1, 2, 3, 4} if path is with_truth else set())
     assert answers[0] == answers[1]
     assert any(v.gps_state == "failed" for v in answers[0][1].vehicles)

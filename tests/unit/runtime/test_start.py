@@ -28,7 +28,7 @@ def test_the_command_line_imports_nothing_of_the_flight_before_it_is_told_to_fly
 NOT_FOR_THE_FIRST_MESSAGE = (
     "gcs_coloc.evaluation",
     "gcs_coloc.web",
-    "gcs_coloc.recorder.journal_json",
+    "gcs_coloc.recorder.formats.mcap_file",
     "gcs_coloc.recorder.recorder",
     "aiomqtt",
     "matplotlib",

@@ -17,9 +17,8 @@ from gcs_coloc.recorder.flight_history import FlightHistory
 from gcs_coloc.recorder.flight_report import FlightReport
 from gcs_coloc.recorder.formats.geojson import write_geojson
 from gcs_coloc.recorder.formats.kml import write_kml
-from gcs_coloc.recorder.formats.mcap_file import McapEncoder
+from gcs_coloc.recorder.formats.mcap_file import McapEncoder, as_json
 from gcs_coloc.recorder.journal import Journal, StationEntry
-from gcs_coloc.recorder.journal_json import as_json
 from gcs_coloc.recorder.replay import ReplayCounts
 from gcs_coloc.sinks.metrics import fleet_registry
 from gcs_coloc.sinks.mqtt_models import of_station

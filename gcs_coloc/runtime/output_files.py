@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from gcs_coloc.core.errors import UsageError
 
@@ -53,3 +54,31 @@ def make_output_directory(path: Path, option: str) -> None:
         raise UsageError(f"{option} {path}: cannot be written to: it is a file; state a directory") from None
     except OSError as error:
         raise UsageError(f"{option} {path}: cannot be written to: {error.strerror}") from None
+
+
+def new_figure(size: tuple[float, float]) -> Any:
+    """Return an empty figure of a size in inches.
+
+    Raises:
+        UsageError: matplotlib is not installed.
+    """
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise UsageError('drawing needs matplotlib: pip install "gcs-coloc[plots]"') from error
+    figure = Figure(figsize=size, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save_figure(figure: Any, path: Path | str, dpi: int = 110) -> None:
+    """Write a figure; the file's ending sets the format.
+
+    Raises:
+        UsageError: the ending is not one that matplotlib writes, or the file cannot be written.
+    """
+    try:
+        figure.savefig(path, dpi=dpi)
+    except (OSError, ValueError) as error:
+        raise UsageError(f"{path}: cannot be written: {error}") from error
