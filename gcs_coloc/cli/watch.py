@@ -11,8 +11,9 @@ from urllib.parse import urlsplit
 import typer
 
 from gcs_coloc.cli.main import LogLevel
-from gcs_coloc.config.settings import read_table, settings_of
-from gcs_coloc.core.errors import UsageError
+from gcs_coloc.config.settings import settings_of
+from gcs_coloc.core.errors import ConfigError, UsageError
+from gcs_coloc.runtime.checked_tables import read_toml
 
 DEFAULT_PAGE = "127.0.0.1:8081"
 """Where the page is unless told: beside that of a service on the same computer, which is on 8080."""
@@ -42,7 +43,7 @@ def watch(
 
     if web is not None and no_web:
         raise UsageError("--web and --no-web exclude each other")
-    table = read_table(config) if config is not None else {}
+    table = read_toml(config, ConfigError) if config is not None else {}
     used: dict[str, Any] = {key: table[key] for key in _SECTIONS if key in table}
     flags: dict[str, Any] = {}
     if mqtt is not None:

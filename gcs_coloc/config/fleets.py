@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from gcs_coloc.config.service_sections import topic_level
-from gcs_coloc.config.settings import Settings, read_table, settings_of
+from gcs_coloc.config.settings import Settings, settings_of
 from gcs_coloc.core.errors import ConfigError, GcsColocError, UsageError
 from gcs_coloc.links.base import LinkAddress, parse, parse_out
+from gcs_coloc.runtime.checked_tables import read_toml
 
 Value = TypeVar("Value")
 
@@ -76,7 +77,7 @@ def load_fleets(
         ConfigError: the file cannot be read, or a key or value is wrong, or two fleets share what each must have for itself.
         UsageError: a flag says something of one fleet where there are several, or there is no fleet of that name.
     """
-    table = read_table(path) if path is not None else {}
+    table = read_toml(path, ConfigError) if path is not None else {}
     flagged = frozenset(flags.get("fleet", ()))
     if not isinstance(table.get("fleet"), list):
         if fleet is not None:
@@ -108,7 +109,7 @@ def load_settings(path: Path | None, flags: Mapping[str, Any], fleet: str | None
         ConfigError: as `load_fleets`.
         UsageError: the configuration is of several fleets and none is named, or has none of that name.
     """
-    table = read_table(path) if path is not None else {}
+    table = read_toml(path, ConfigError) if path is not None else {}
     if fleet is None and isinstance(table.get("fleet"), list):
         names = [each.name for each in _several(path, table, {})]
         raise UsageError(f"{path}: is of several fleets ([[fleet]]): say which with --fleet: {', '.join(names)}")

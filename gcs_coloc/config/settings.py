@@ -9,11 +9,9 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import groupby
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -136,23 +134,6 @@ class Settings(BaseSettings):
         del engine["names"]
         all_of_it = {"estimator": self.estimator.model_dump(), "engine": engine}
         return hashlib.sha256(json.dumps(all_of_it, sort_keys=True, default=str).encode()).hexdigest()[:16]
-
-
-def read_table(path: Path) -> dict[str, Any]:
-    """The table in a TOML file.
-
-    Raises:
-        ConfigError: the file cannot be read or parsed.
-    """
-    # Not by pydantic-settings' TOML source: that passes over a file that is absent, and refuses a byte order mark in a traceback.
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))  # Windows' editors begin a file with a byte order mark
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise ConfigError(f"{path}: is not a text file in UTF-8") from None
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: is not valid TOML: {error}") from None
 
 
 def settings_of(tables: Sequence[Mapping[str, Any]], flags: Mapping[str, Any], source: str) -> Settings:

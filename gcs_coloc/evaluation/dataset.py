@@ -25,7 +25,7 @@ from gcs_coloc.core.measurements import (
     Vector3,
 )
 from gcs_coloc.evaluation.antennas import Attitudes, antenna_range
-from gcs_coloc.evaluation.dataset_meta import Meta, Node
+from gcs_coloc.evaluation.dataset_meta import Node, read_meta
 from gcs_coloc.evaluation.tables import DroppedRows, TableRow, read_layout
 
 _FARTHEST_M = 2e7
@@ -82,8 +82,9 @@ def read_dataset(directory: Path | str) -> Dataset:
 
     """
     directory = _dataset_directory(Path(directory))
-    meta = Meta(directory / "meta.toml")
-    rows = _Rows(meta.nodes)
+    meta = read_meta(directory / _META)
+    nodes = meta.nodes()
+    rows = _Rows(nodes)
     tables: dict[str, list[Measurement]] = {}
     dropped: list[DroppedRows] = []
     for name, parse, required, optional in (
@@ -109,10 +110,10 @@ def read_dataset(directory: Path | str) -> Dataset:
         _, wrong = read_layout(path, rows.truth, ("t_s", "id", "e_m", "n_m", "u_m"))
         truth = rows.truths()
         dropped.append(wrong)
-        if not any(node.vehicle in truth for node in meta.nodes if node.role == "denied"):
+        if not any(node.vehicle in truth for node in nodes if node.role == "denied"):
             raise DataError(f"{path}: no row of any denied vehicle")
     lost = tuple(one for one in dropped if one.count)
-    return Dataset(meta.name, meta.source, meta.licence, meta.dims, meta.origin, meta.nodes, tuple(measurements), truth, lost)
+    return Dataset(meta.name, meta.source, meta.licence, meta.dims, meta.place(), nodes, tuple(measurements), truth, lost)
 
 
 def _dataset_directory(path: Path) -> Path:

@@ -5,30 +5,19 @@ It has the nodes, their antennas and what is known of their ranging devices.
 
 from __future__ import annotations
 
-import math
-import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Literal, Self
 
-from gcs_coloc.core.errors import DataError
+from pydantic import AfterValidator, Field, model_validator
+
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Vector3, VehicleClass
 from gcs_coloc.core.stations.node_id import MAX_STATION_ID, station_node
+from gcs_coloc.core.stations.stations import STATION_SIGMA_M
+from gcs_coloc.runtime.checked_tables import Number, Table, checked, read_toml
 
-ROLES = ("denied", "peer", "anchor")
-_ROLE_UNTIL_0_1 = {"subject": "denied"}
-"""Data sets written for version 0.1 still read."""
-_META_KEYS = {"name", "source", "licence", "dims", "node", "station", "origin", "vehicle_class"}
-_ORIGIN_KEYS = {"lat_deg", "lon_deg", "alt_m"}
-_NODE_KEYS = {"id", "role", "antenna", "range_bias_m", "range_scale", "vehicle_class"}
-_ANCHOR_KEYS = ("e_m", "n_m", "u_m", "sigma_m")
-_STATION_KEYS = {"id", "name", "lat_deg", "lon_deg", "alt_m", "sigma_m", "range_bias_m", "range_scale"}
-"""As those of the configuration's `[[station]]`."""
-_STATION_SIGMA_M = 1.0
-"""As the configuration has it."""
-_ANTENNA_KEYS = ("forward_m", "right_m", "down_m")
 _MOST_SCALE = 0.5  # chosen: a half or a double is a wrong unit
 
 
@@ -54,135 +43,123 @@ class Node:
     vehicle_class: VehicleClass | None = None
 
 
-class Meta:
-    """meta.toml, checked. Raises DataError."""
+def _excess(scale: float) -> float:
+    if abs(scale) > _MOST_SCALE:
+        raise ValueError(f"is the excess over 1, within {_MOST_SCALE}: 0.01 is one per cent")
+    return scale
 
-    def __init__(self, path: Path) -> None:
-        try:
-            content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-        except OSError as error:
-            raise DataError(f"{path}: {error.strerror or error}") from error
-        except UnicodeDecodeError as error:
-            raise DataError(f"{path}: not UTF-8 text (byte {error.start})") from error
-        except tomllib.TOMLDecodeError as error:
-            raise DataError(f"{path}: not TOML: {error}") from error
-        self._path = path
-        self._only(content, _META_KEYS, "")
-        self.name = self._text(content, "name")
-        self.source = self._text(content, "source")
-        self.licence = self._text(content, "licence")
-        dims = content.get("dims")
-        if type(dims) is not int or dims not in (2, 3):
-            raise DataError(f"{path}: dims has to be 2 or 3, not {dims!r}")
-        self.dims: int = dims
-        self.origin = self._origin(content.get("origin"))
-        self._vehicle_class = self._class(content, "", None)
-        tables = content.get("node")
-        if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
-            raise DataError(f"{path}: at least one [[node]] is needed")
-        nodes = tuple(self._node(i + 1, table) for i, table in enumerate(tables))
-        self.nodes = nodes + self._stations(content.get("station"))
-        self._unique([node.id for node in self.nodes], "nodes", "")
-        if not any(node.role == "denied" for node in self.nodes):
-            raise DataError(f'{path}: no node has the role "denied": there is nothing to locate')
 
-    def _only(self, table: dict[str, Any], allowed: set[str], where: str) -> None:
-        for key in table:
-            if key not in allowed:
-                raise DataError(f"{self._path}: {where}unknown key {key!r}; known are {', '.join(sorted(allowed))}")
+def _differ(ids: Sequence[str], what: str) -> None:
+    for each in ids:
+        if ids.count(each) > 1:
+            raise ValueError(f"two {what} have the id {each!r}")
 
-    def _unique(self, ids: list[str], what: str, where: str) -> None:
-        for i in ids:
-            if ids.count(i) > 1:
-                raise DataError(f"{self._path}: {where}two {what} have the id {i!r}")
 
-    def _text(self, table: dict[str, Any], key: str, where: str = "") -> str:
-        value = table.get(key)
-        if not isinstance(value, str) or not value:
-            raise DataError(f"{self._path}: {where}{key} has to be a text")
-        return value
+_Text = Annotated[str, Field(min_length=1)]
+_Sigma = Annotated[Number, Field(gt=0.0)]
 
-    def _class(self, table: dict[str, Any], where: str, default: VehicleClass | None) -> VehicleClass | None:
-        value = table.get("vehicle_class", default)
-        if value is not None and value not in set(VehicleClass):
-            raise DataError(f"{self._path}: {where}vehicle_class has to be one of {', '.join(VehicleClass)}, not {value!r}")
-        return VehicleClass(value) if value is not None else None
 
-    def _number(self, table: dict[str, Any], key: str, where: str, default: float | None = None) -> float:
-        value = table.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise DataError(f"{self._path}: {where}{key} has to be a number")
-        return float(value)
+class _Origin(Table):
+    lat_deg: Annotated[Number, Field(ge=-90.0, le=90.0)]
+    lon_deg: Annotated[Number, Field(ge=-180.0, le=180.0)]
+    alt_m: Number
 
-    def _origin(self, table: Any) -> Vector3 | None:
-        if table is None:
-            return None
-        if not isinstance(table, dict):
-            raise DataError(f"{self._path}: origin has to be a table")
-        self._only(table, _ORIGIN_KEYS, "[origin] ")
-        lat, lon, alt = (self._number(table, key, "[origin] ") for key in ("lat_deg", "lon_deg", "alt_m"))
-        return (lat, lon, alt)
 
-    def _node(self, number: int, table: dict[str, Any]) -> Node:
-        where = f"[[node]] {number}: "
-        role = self._text(table, "role", where)
-        role = _ROLE_UNTIL_0_1.get(role, role)
-        if role not in ROLES:
-            raise DataError(f"{self._path}: {where}role has to be one of {', '.join(ROLES)}, not {role!r}")
-        self._only(table, _NODE_KEYS - {"vehicle_class"} | set(_ANCHOR_KEYS) if role == "anchor" else _NODE_KEYS, where)
-        node_id = self._text(table, "id", where)
-        place, sigma_m = None, None
-        if role == "anchor":
-            e, n, u, sigma_m = (self._number(table, key, where) for key in _ANCHOR_KEYS)
-            place = (e, n, u)
-            if sigma_m <= 0.0:
-                raise DataError(f"{self._path}: {where}sigma_m has to be above 0")
-        bias_m, scale = self._calibration(table, where)
-        antennas = self._antennas(table.get("antenna"), where)
-        vehicle_class = self._class(table, where, self._vehicle_class) if role != "anchor" else None
-        return Node(node_id, number, role, place, sigma_m, antennas, bias_m, scale, vehicle_class)
+class _Device(Table):
+    range_bias_m: Number = 0.0
+    range_scale: Annotated[Number, AfterValidator(_excess)] = 0.0
 
-    def _stations(self, tables: Any) -> tuple[Node, ...]:
-        """Return the fixed stations: anchors with the ids that ranges name them by, STN3 for station 3."""
-        if tables is None:
-            return ()
-        if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
-            raise DataError(f"{self._path}: a station is a table: [[station]]")
-        if self.origin is None:
-            raise DataError(f"{self._path}: [[station]] needs [origin]: its position is in degrees, all others are in metres")
-        frame = LocalFrame(*self.origin)
-        return tuple(self._station(i + 1, table, frame) for i, table in enumerate(tables))
 
-    def _station(self, number: int, table: dict[str, Any], frame: LocalFrame) -> Node:
-        where = f"[[station]] {number}: "
-        self._only(table, _STATION_KEYS, where)
-        station_id = table.get("id")
-        if type(station_id) is not int or not 0 <= station_id <= MAX_STATION_ID:
-            raise DataError(f"{self._path}: {where}id has to be a whole number from 0 to {MAX_STATION_ID}, not {station_id!r}")
-        lat, lon, alt = (self._number(table, key, where) for key in ("lat_deg", "lon_deg", "alt_m"))
-        if abs(lat) > 90.0 or abs(lon) > 180.0:
-            raise DataError(f"{self._path}: {where}lat_deg and lon_deg have to be within 90 and 180 degrees")
-        sigma_m = self._number(table, "sigma_m", where, _STATION_SIGMA_M)
-        if sigma_m <= 0.0:
-            raise DataError(f"{self._path}: {where}sigma_m has to be above 0")
-        place, calibration = frame.enu_from_geodetic(lat, lon, alt), self._calibration(table, where)
-        return Node(f"STN{station_id}", station_node(station_id), "anchor", place, sigma_m, {}, *calibration)
+class _Antenna(Table):
+    id: _Text
+    forward_m: Number
+    right_m: Number
+    down_m: Number
 
-    def _calibration(self, table: dict[str, Any], where: str) -> tuple[float, float]:
-        bias_m, scale = self._number(table, "range_bias_m", where, 0.0), self._number(table, "range_scale", where, 0.0)
-        if abs(scale) > _MOST_SCALE:
-            raise DataError(f"{self._path}: {where}range_scale is the excess over 1, within {_MOST_SCALE}: 0.01 is one per cent")
-        return bias_m, scale
 
-    def _antennas(self, tables: Any, where: str) -> dict[str, Vector3]:
-        if tables is None:
-            return {}
-        if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
-            raise DataError(f"{self._path}: {where}an antenna is a table: [[node.antenna]]")
-        antennas = {}
-        for table in tables:
-            self._only(table, {"id", *_ANTENNA_KEYS}, f"{where}[[node.antenna]] ")
-            forward, right, down = (self._number(table, key, f"{where}[[node.antenna]] ") for key in _ANTENNA_KEYS)
-            antennas[self._text(table, "id", f"{where}[[node.antenna]] ")] = (forward, right, down)
-        self._unique([table["id"] for table in tables], "antennas", where)
-        return antennas
+class _Node(_Device):
+    id: _Text
+    antenna: tuple[_Antenna, ...] = ()
+
+    @model_validator(mode="after")
+    def _antennas_differ(self) -> Self:
+        _differ([antenna.id for antenna in self.antenna], "antennas")
+        return self
+
+
+class _Vehicle(_Node):
+    role: Literal["denied", "peer", "subject"]  # subject: denied, in data sets written for version 0.1
+    vehicle_class: VehicleClass | None = None
+
+
+class _Anchor(_Node):
+    role: Literal["anchor"]
+    e_m: Number
+    n_m: Number
+    u_m: Number
+    sigma_m: _Sigma
+
+
+class _Station(_Device, _Origin):
+    """A fixed station, with the keys of the configuration's `[[station]]`."""
+
+    id: Annotated[int, Field(strict=True, ge=0, le=MAX_STATION_ID)]
+    name: str = ""
+    sigma_m: _Sigma = STATION_SIGMA_M
+
+
+class Meta(Table):
+    """The content of meta.toml."""
+
+    name: _Text
+    source: _Text
+    licence: _Text
+    dims: Literal[2, 3]
+    vehicle_class: VehicleClass | None = None
+    origin: _Origin | None = None
+    node: Annotated[tuple[Annotated[_Vehicle | _Anchor, Field(discriminator="role")], ...], Field(min_length=1)]
+    station: tuple[_Station, ...] = ()
+
+    @model_validator(mode="after")
+    def _can_be_located(self) -> Self:
+        if self.station and self.origin is None:
+            raise ValueError("[[station]] needs [origin]: its position is in degrees, all others are in metres")
+        _differ([node.id for node in self.nodes()], "nodes")
+        if not any(node.role == "denied" for node in self.nodes()):
+            raise ValueError('no node has the role "denied": there is nothing to locate')
+        return self
+
+    def place(self) -> Vector3 | None:
+        """Return the origin: degrees, and metres above mean sea level."""
+        return (self.origin.lat_deg, self.origin.lon_deg, self.origin.alt_m) if self.origin is not None else None
+
+    def nodes(self) -> tuple[Node, ...]:
+        """Return the nodes, then the fixed stations.
+
+        A station is an anchor with the id that ranges name it by, STN3 for station 3.
+        """
+        nodes = [self._node(number, each) for number, each in enumerate(self.node, start=1)]
+        if (origin := self.place()) is not None:
+            frame = LocalFrame(*origin)
+            for each in self.station:
+                place = frame.enu_from_geodetic(each.lat_deg, each.lon_deg, each.alt_m)
+                device = (each.range_bias_m, each.range_scale)
+                nodes.append(Node(f"STN{each.id}", station_node(each.id), "anchor", place, each.sigma_m, {}, *device))
+        return tuple(nodes)
+
+    def _node(self, number: int, node: _Vehicle | _Anchor) -> Node:
+        antennas: dict[str, Vector3] = {each.id: (each.forward_m, each.right_m, each.down_m) for each in node.antenna}
+        device = (antennas, node.range_bias_m, node.range_scale)
+        if isinstance(node, _Anchor):
+            return Node(node.id, number, node.role, (node.e_m, node.n_m, node.u_m), node.sigma_m, *device)
+        role = "denied" if node.role == "subject" else node.role
+        return Node(node.id, number, role, None, None, *device, node.vehicle_class or self.vehicle_class)
+
+
+def read_meta(path: Path) -> Meta:
+    """Read meta.toml.
+
+    Raises:
+        DataError: it cannot be read, or something in it is wrong; the text names the place.
+    """
+    return checked(Meta, read_toml(path), str(path))

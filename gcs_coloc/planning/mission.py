@@ -6,7 +6,7 @@ Source: https://mavlink.io/en/messages/common.html (MAV_CMD, MAV_FRAME).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Generic, NamedTuple, TypeVar
@@ -19,6 +19,8 @@ from gcs_coloc.planning.flight_path import LONGEST_S
 
 LatLonAlt = tuple[float, float, float]
 """Degrees, and metres above mean sea level."""
+HIGHEST_M = 20_000.0
+"""Chosen: nothing of ours flies higher."""
 FAR_M = 300_000.0
 """Beyond it the plane of a frame and the earth part by kilometres; plans so far apart are of two sites."""
 LEAST_SPEED_MPS, MOST_SPEED_MPS = 0.1, 200.0
@@ -59,7 +61,6 @@ _RELATIVE_FRAMES = frozenset({3, 6}) | _TERRAIN_FRAMES
 _LANDS = frozenset({MissionCommand.LAND, MissionCommand.VTOL_LAND})
 _HOLDS_FOREVER_S = 600.0
 """Chosen: who loiters until told otherwise does so for ten minutes here."""
-_MOST_SHOWN = 60  # characters of a wrong value; chosen: the line stays one
 _LOITER_RADIUS_M = 60.0
 """Source: WP_LOITER_RAD of ArduPlane."""
 
@@ -169,7 +170,7 @@ def mission_of(
             if item.params[0] in _OF_CLIMB_OR_DESCENT:
                 remarks.append(f"{where}: DO_CHANGE_SPEED of climb or descent is skipped")
             elif item.params[1] > 0.0:
-                speed_mps = check_speed(where, "speed", item.params[1])
+                speed_mps = _speed(where, item.params[1])
             else:
                 remarks.append(f"{where}: DO_CHANGE_SPEED without a speed is skipped")
             continue
@@ -241,20 +242,15 @@ def check_place(where: str, lat_deg: float, lon_deg: float, alt_m: float) -> Non
     Raises:
         DataError: it is none on earth; the text begins with `where`.
     """
-    for name, value, most in (("latitude", lat_deg, 90.0), ("longitude", lon_deg, 180.0), ("altitude", alt_m, 20_000.0)):
+    for name, value, most in (("latitude", lat_deg, 90.0), ("longitude", lon_deg, 180.0), ("altitude", alt_m, HIGHEST_M)):
         if not abs(value) <= most:
             unit = "metres" if name == "altitude" else "degrees"
             raise DataError(f"{where}: {name} is {value:g}, expected {unit} from {-most:g} to {most:g}")
 
 
-def check_speed(where: str, name: str, speed_mps: float) -> float:
-    """Return a speed if it is one that vehicles of ours fly at.
-
-    Raises:
-        DataError: nothing of ours flies at it; the text begins with `where`.
-    """
+def _speed(where: str, speed_mps: float) -> float:
     if not LEAST_SPEED_MPS <= speed_mps <= MOST_SPEED_MPS:
-        raise DataError(f"{where}: {name} is {speed_mps:g}, expected m/s from {LEAST_SPEED_MPS:g} to {MOST_SPEED_MPS:g}")
+        raise DataError(f"{where}: speed is {speed_mps:g}, expected m/s from {LEAST_SPEED_MPS:g} to {MOST_SPEED_MPS:g}")
     return speed_mps
 
 
@@ -277,32 +273,3 @@ def _hold(item: MissionItem, command: MissionCommand, vehicle_class: VehicleClas
 
 def _within(hold_s: float) -> float:
     return min(max(hold_s, 0.0), LONGEST_S)
-
-
-def number(where: str, name: str, value: object) -> float:
-    """Return a number of a file.
-
-    Raises:
-        DataError: it is none, or not finite; the text begins with `where`.
-    """
-    try:
-        found = float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else math.nan
-    except OverflowError:
-        found = math.inf
-    if not math.isfinite(found):
-        raise DataError(f"{where}: {name} is {shown(value)}, expected a number")
-    return found
-
-
-def shown(value: object) -> str:
-    """Return a value of a file as an error shows it: in one line that can be read."""
-    try:
-        text = repr(value)
-    except ValueError:  # an integer of thousands of digits
-        text = "a number of thousands of digits"
-    return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}..."
-
-
-def numbers(where: str, names: Iterable[str], values: Sequence[object]) -> list[float]:
-    """Return the numbers of a file, null as 0, as QGroundControl writes what is not used."""
-    return [0.0 if value is None else number(where, name, value) for name, value in zip(names, values, strict=True)]

