@@ -50,6 +50,8 @@ exclude_patterns = ["reference/modules/modules.rst"]  # an index above the packa
 # MathML, which browsers draw themselves: MathJax would be loaded from another site by every reader.
 html_math_renderer = "mathml"
 html_theme = "furo"
+html_static_path = ["_static"]
+html_css_files = ["tables.css"]
 html_title = f"gcs-coloc {release}"
 html_theme_options = {"navigation_with_keys": True}
 html_show_copyright = False
