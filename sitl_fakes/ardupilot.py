@@ -13,7 +13,7 @@ import math
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sitl_fakes.autopilot import ACCEPTED, DEAD_RECKONING, FAILED, Autopilot, BeaconRange, Horizontal
+from sitl_fakes.autopilot import ACCEPTED, DEAD_RECKONING, FAILED, Autopilot, Horizontal
 from sitl_fakes.guidance import Guidance
 from sitl_fakes.navigation import Navigation
 from sitl_fakes.parameters import Parameters
@@ -64,15 +64,6 @@ class ArduPilot(Autopilot):
         """
         if gps_id in (0, 1) and is_injected(gps_id, self._params):
             self._receive(gps_id, fix, at_s)
-
-    def receive_global_position(self, sensor_id: int, position_m: tuple[float, float], eph_m: float, at_s: float) -> None:
-        """Pass over GLOBAL_POSITION_SENSOR: ArduPilot knows no such sensor."""
-
-    def receive_vision(self, position_m: tuple[float, float], variance_m2: float, at_s: float) -> None:
-        """Pass over VISION_POSITION_ESTIMATE: EK3_SRC1_POSXY is GPS."""
-
-    def receive_range(self, beacon: BeaconRange, at_s: float) -> None:
-        """Pass over ranges: ArduPilot has no driver that takes RANGING_BEACON."""
 
     def apply_external_estimate(
         self, position_m: tuple[float, float], accuracy_m: float | None, age_s: float, at_s: float

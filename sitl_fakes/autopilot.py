@@ -82,23 +82,21 @@ class Autopilot(ABC):
     def receive_own_fix(self, fix: GpsFix, at_s: float) -> None:
         """Take a message of the aircraft's own receiver."""
 
-    @abstractmethod
-    def receive_gps_input(self, gps_id: int, fix: GpsFix, at_s: float) -> None:
+    # Each kind takes some of what follows, and passes over the rest.
+
+    def receive_gps_input(self, gps_id: int, fix: GpsFix, at_s: float) -> None:  # noqa: B027
         """Take a GPS_INPUT."""
 
-    @abstractmethod
-    def receive_global_position(self, sensor_id: int, position_m: tuple[float, float], eph_m: float, at_s: float) -> None:
+    def receive_global_position(self, sensor_id: int, position_m: tuple[float, float], eph_m: float, at_s: float) -> None:  # noqa: B027
         """Take a GLOBAL_POSITION_SENSOR: position east and north (m) with its standard deviation (m)."""
 
-    @abstractmethod
-    def receive_vision(self, position_m: tuple[float, float], variance_m2: float, at_s: float) -> None:
+    def receive_vision(self, position_m: tuple[float, float], variance_m2: float, at_s: float) -> None:  # noqa: B027
         """Take a VISION_POSITION_ESTIMATE.
 
         Position east and north (m), the larger of its two variances (m^2, NaN unknown).
         """
 
-    @abstractmethod
-    def receive_range(self, beacon: BeaconRange, at_s: float) -> None:
+    def receive_range(self, beacon: BeaconRange, at_s: float) -> None:  # noqa: B027
         """Take a RANGING_BEACON."""
 
     @abstractmethod

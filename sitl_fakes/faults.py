@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -108,7 +108,15 @@ class LinkDropout(_Fault):
     kind: Literal["link_dropout"] = "link_dropout"
 
 
-class Reboot(_Fault):
+class _Momentary(_Fault):
+    @model_validator(mode="after")
+    def _does_not_last(self) -> Self:
+        if self.until_s is not None:
+            raise ValueError("what happens at once takes no until_s")
+        return self
+
+
+class Reboot(_Momentary):
     """The autopilot restarts in flight.
 
     It is silent while it boots; then its boot clock is from zero and it has no memory but its parameters.
@@ -116,24 +124,12 @@ class Reboot(_Fault):
 
     kind: Literal["reboot"] = "reboot"
 
-    @model_validator(mode="after")
-    def _is_momentary(self) -> Self:
-        if self.until_s is not None:
-            raise ValueError("a reboot takes no until_s")
-        return self
 
-
-class ClockJump(_Fault):
+class ClockJump(_Momentary):
     """The autopilot's boot clock steps by `by_s`, forwards or back, without a reboot."""
 
     kind: Literal["clock_jump"] = "clock_jump"
     by_s: float = Field(ge=-1e6, le=1e6)
-
-    @model_validator(mode="after")
-    def _is_momentary(self) -> Self:
-        if self.until_s is not None:
-            raise ValueError("a clock jump takes no until_s")
-        return self
 
 
 Fault = GpsLost | GpsJammed | GpsFrozen | GpsSpoofed | RangeDropout | RangeBias | RangeStuck | LinkDropout | Reboot | ClockJump
@@ -148,32 +144,21 @@ def fault_of_command(sysid: int, params: list[float], at_s: float) -> Fault | No
     `params[6]`: duration, s; 0 without end (refused for a dead link, which no command could end). Raises ValueError or
     OverflowError where a number is not finite, or impossible for such a fault.
     """
-    kind, second, third, fourth = params[0], params[1], params[2], params[3]
-    lasts = params[6] if params[6] != 0.0 else None
-    times: dict[str, Any] = {"vehicle": sysid, "at_s": at_s, "until_s": None if lasts is None else at_s + lasts}
-    if kind in (5.0, 6.0, 7.0):
-        times["peer"] = int(second) or None
-    if kind == 1.0:
-        return GpsLost(**times)
-    if kind == 2.0:
-        return GpsJammed(**times)
-    if kind == 3.0:
-        return GpsFrozen(**times)
-    if kind == 4.0:
-        return GpsSpoofed(**times, direction_deg=second, speed_mps=third, offset_m=fourth)
-    if kind == 5.0:
-        return RangeDropout(**times)
-    if kind == 6.0:
-        return RangeBias(**times, bias_m=third)
-    if kind == 7.0:
-        return RangeStuck(**times)
-    if kind == 8.0 and lasts is not None:
-        return LinkDropout(**times)
-    if kind == 9.0:
-        return Reboot(vehicle=sysid, at_s=at_s)
-    if kind == 10.0:
-        return ClockJump(vehicle=sysid, at_s=at_s, by_s=third)
-    return None
+    number, second, third, fourth = params[:4]
+    lasts_s = params[6] or None
+    if number not in range(1, len(get_args(Fault)) + 1):
+        return None
+    model = get_args(Fault)[int(number) - 1]
+    if model is LinkDropout and lasts_s is None:
+        return None
+    said: dict[str, Any] = {"vehicle": sysid, "at_s": at_s, "direction_deg": second, "speed_mps": third, "offset_m": fourth}
+    said |= {"bias_m": third, "by_s": third}
+    if lasts_s is not None and not issubclass(model, _Momentary):
+        said["until_s"] = at_s + lasts_s
+    if "peer" in model.model_fields:
+        said["peer"] = int(second) or None
+    fault: Fault = model(**{name: value for name, value in said.items() if name in model.model_fields})
+    return fault
 
 
 class ActiveFaults:

@@ -6,9 +6,10 @@ The physical side is wind, aircraft, height and air sensors.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
-from typing import Any
+
+import pydantic.dataclasses
+from pydantic import ConfigDict
 
 from sitl_fakes.dynamics import FlightState, LateralAircraft
 from sitl_fakes.geodesy import Vector, WorldFrame
@@ -162,7 +163,7 @@ def _cell(name: str, value: float | int | str | None) -> str:
     return str(value)
 
 
-@dataclass(frozen=True, slots=True)
+@pydantic.dataclasses.dataclass(frozen=True, config=ConfigDict(allow_inf_nan=False))
 class SharedState:
     """The true state of an aircraft that another process simulates.
 
@@ -173,17 +174,6 @@ class SharedState:
     at_s: float
     position_m: Vector
     velocity_mps: Vector
-
-    @classmethod
-    def from_json(cls, fields_by_name: Mapping[str, Any]) -> SharedState:
-        """From the fields by name.
-
-        Raises `ValueError`, `TypeError` or `KeyError` where they are not what they should be.
-        """
-        (e, n, u), (ve, vn, vu) = fields_by_name["position_m"], fields_by_name["velocity_mps"]
-        if not all(math.isfinite(x) for x in (fields_by_name["at_s"], e, n, u, ve, vn, vu)):
-            raise ValueError("not finite")
-        return cls(int(fields_by_name["sysid"]), fields_by_name["at_s"], (e, n, u), (ve, vn, vu))
 
     def position_at(self, at_s: float) -> Vector | None:
         """Position (m) at another time (s), extrapolated at constant velocity; None beyond one second."""

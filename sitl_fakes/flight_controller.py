@@ -25,7 +25,7 @@ from sitl_fakes.scenario import Vehicle as VehicleSpec
 from sitl_fakes.sensors import Purpose, RangeSample, stream
 from sitl_fakes.streams import Streams
 from sitl_fakes.telemetry import Snapshot
-from sitl_fakes.wire import debug_range, named_range, peer_range_frame, ranging_beacon_frame
+from sitl_fakes.wire import debug_range, named_range, peer_range_frame, ranging_beacon
 
 _BOOTING_FOR_S = 5.0  # chosen: as an autopilot boots
 _FORWARD_BAD_CRC = 8  # source: ArduPilot's GCS.h, MAVn_OPTIONS
@@ -137,21 +137,13 @@ class FlightController:
         time_s = boot_s if ranging.time_base == "boot" else self._unix_epoch_s + at_s
         if ranging.message == "debug_vect":
             return self.pack(debug_range(round(time_s * 1e6), peer, sample.range_m, sample.stated_sigma_m, station_id))
-        common: dict[str, Any] = {
-            "sysid": self.sysid,
-            "compid": mavlink.MAV_COMP_ID_AUTOPILOT1,
-            "frame_sequence": self._next_sequence(),
-            "time_usec": round(time_s * 1e6),
-            "peer_system": peer,
-            "range_m": sample.range_m,
-            "range_std_m": sample.stated_sigma_m,
-            "sequence": sample.sequence,
-            "station": station_id,
-        }
+        fields = round(time_s * 1e6), peer, sample.range_m, sample.stated_sigma_m, sample.sequence
         if ranging.message == "peer_range":
-            return peer_range_frame(**common)
+            return peer_range_frame(
+                self.sysid, mavlink.MAV_COMP_ID_AUTOPILOT1, self._next_sequence(), *fields, station=station_id
+            )
         lla = None if station is None else self.frame.to_lla(station.east_m, station.north_m, station.height_m)
-        return ranging_beacon_frame(**common, station_lla=lla)
+        return self.pack(ranging_beacon(*fields, station_id, lla))
 
     def pack_forwarded(self) -> bytes:
         """Encode the heartbeat of a ground station on another port, under its own system id."""
@@ -181,12 +173,9 @@ class FlightController:
             second_receiver=self.params.get("GPS2_TYPE", 0.0) != 0,
             notices_jamming=any(isinstance(fault, GpsJammed) for fault in noticed),
             notices_spoofing=any(isinstance(fault, GpsSpoofed) for fault in noticed),
-            air=self._flight.air,
+            flight=self._flight,
             altitude_m=self.altitude_m,
             climb_mps=self._flight.climb_mps + self.autopilot.height.climb_error_mps,
-            true_state=self._flight.state,
-            true_velocity_mps=self._flight.velocity_mps,
-            true_lla=self._flight.lla,
         )
 
 

@@ -57,9 +57,6 @@ class Px4(Autopilot):
             self.origin_m = self.origin_m or fix.position_enu_m
             self._last_used, self._gps_used_at_s = "gps1", at_s
 
-    def receive_gps_input(self, gps_id: int, fix: GpsFix, at_s: float) -> None:
-        """Pass over GPS_INPUT: PX4 does not take it."""
-
     def receive_global_position(self, sensor_id: int, position_m: tuple[float, float], eph_m: float, at_s: float) -> None:
         """Fuse an auxiliary position of the slot's sensor.
 

@@ -223,7 +223,7 @@ class Airspace:
         try:
             fields = json.loads(payload)
             process, scenario = fields.pop("process"), fields.pop("scenario")
-            state = SharedState.from_json(fields)
+            state = SharedState(**fields)
         except (ValueError, TypeError, KeyError, AttributeError):
             self._warn_once(f"{sender[0]} speaks in the airspace, but not of simulated aircraft")
             return

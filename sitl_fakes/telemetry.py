@@ -10,21 +10,20 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.dialects.v20 import development
 
 from sitl_fakes.autopilot import Autopilot
-from sitl_fakes.dynamics import FlightState
+from sitl_fakes.flight import Flight
 from sitl_fakes.geodesy import Vector, WorldFrame
 from sitl_fakes.parameters import Kind
 from sitl_fakes.receivers import Receiver
-from sitl_fakes.sensors import AirData
 
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """One vehicle at one moment: its clocks, its autopilot, its air data and the truth.
+    """One vehicle at one moment: its clocks, its autopilot, and its flight with air data and the truth.
 
     The truth is for the simulator's own messages alone.
 
     `fixed_boot_s` is the boot time of each receiver's last fix, None where there was none. `altitude_m` and `climb_mps` are
-    the autopilot's; the barometer's altitude is in `air`. `notices_jamming`, `notices_spoofing`: its own receiver does.
+    the autopilot's; the barometer's altitude is in `flight.air`. `notices_jamming`, `notices_spoofing`: its own receiver does.
     """
 
     kind: Kind
@@ -39,12 +38,9 @@ class Snapshot:
     second_receiver: bool
     notices_jamming: bool
     notices_spoofing: bool
-    air: AirData
+    flight: Flight
     altitude_m: float
     climb_mps: float
-    true_state: FlightState
-    true_velocity_mps: Vector
-    true_lla: Vector
 
     def reported_position(self) -> tuple[Vector, Vector] | None:
         """Return the position and velocity that the vehicle reports as its own.
@@ -151,27 +147,23 @@ def gnss_integrity(s: Snapshot) -> Any:
 
 
 def _local_heading(s: Snapshot) -> float:
-    return s.frame.heading_to_local(s.air.heading_rad, s.true_lla[0], s.true_lla[1])
+    return s.frame.heading_to_local(s.flight.air.heading_rad, s.flight.lla[0], s.flight.lla[1])
 
 
 def attitude(s: Snapshot) -> Any:
     """ATTITUDE (30)."""
-    t = s.true_state
-    return mavlink.MAVLink_attitude_message(_ms(s.boot_s), s.air.roll_rad, 0.0, _local_heading(s), t.p_radps, 0.0, t.r_radps)
+    t = s.flight.state
+    return mavlink.MAVLink_attitude_message(
+        _ms(s.boot_s), s.flight.air.roll_rad, 0.0, _local_heading(s), t.p_radps, 0.0, t.r_radps
+    )
 
 
 def global_position_int(s: Snapshot) -> Any:
     """GLOBAL_POSITION_INT (33); without a position ArduPilot sends zeros, PX4 nothing."""
     reported = s.reported_position()
-    heading = _centidegrees(_local_heading(s))
     if reported is None and s.kind == "px4":
         return None
-    if reported is None:
-        relative = round((s.altitude_m - s.home_alt_m) * 1000.0)
-        return mavlink.MAVLink_global_position_int_message(
-            _ms(s.boot_s), 0, 0, round(s.altitude_m * 1000.0), relative, 0, 0, 0, heading
-        )
-    (lat, lon, alt), velocity = reported
+    (lat, lon, alt), velocity = reported or ((0.0, 0.0, s.altitude_m), (0.0, 0.0, 0.0))
     north, east, down = (_int16(v * 100.0) for v in s.frame.vector_to_local_ned(velocity, lat, lon))
     return mavlink.MAVLink_global_position_int_message(
         _ms(s.boot_s),
@@ -182,7 +174,7 @@ def global_position_int(s: Snapshot) -> Any:
         north,
         east,
         down,
-        heading,
+        _centidegrees(_local_heading(s)),
     )
 
 
@@ -192,8 +184,8 @@ def vfr_hud(s: Snapshot) -> Any:
     ground_speed = math.hypot(*(s.autopilot.navigation.velocity_mps if believed is None else believed[1]))
     heading_deg = round(math.degrees(_local_heading(s))) % 360
     # Calibrated airspeed, as the message is defined: less than the true one where the air is thin (ISO 2533).
-    temperature_share = 1.0 - 0.0065 * s.air.altitude_m / 288.15
-    calibrated_mps = s.air.airspeed_mps * temperature_share ** (4.2559 / 2.0) if s.kind == "ardupilot" else math.nan
+    temperature_share = 1.0 - 0.0065 * s.flight.air.altitude_m / 288.15
+    calibrated_mps = s.flight.air.airspeed_mps * temperature_share ** (4.2559 / 2.0) if s.kind == "ardupilot" else math.nan
     return mavlink.MAVLink_vfr_hud_message(calibrated_mps, ground_speed, heading_deg, 50, s.altitude_m, s.climb_mps)
 
 
@@ -202,7 +194,7 @@ def scaled_pressure(s: Snapshot) -> Any:
 
     Standard atmosphere.
     """
-    pressure_hpa = 1013.25 * (1.0 - 0.0065 * s.air.altitude_m / 288.15) ** 5.25588
+    pressure_hpa = 1013.25 * (1.0 - 0.0065 * s.flight.air.altitude_m / 288.15) ** 5.25588
     return mavlink.MAVLink_scaled_pressure_message(_ms(s.boot_s), pressure_hpa, 0.0, 1500)
 
 
@@ -210,7 +202,7 @@ def altitude(s: Snapshot) -> Any:
     """ALTITUDE (141): PX4 sends it without a position, too, when it has no GLOBAL_POSITION_INT."""
     above_home_m = s.altitude_m - s.home_alt_m
     return mavlink.MAVLink_altitude_message(
-        round(s.boot_s * 1e6), s.air.altitude_m, s.altitude_m, above_home_m, above_home_m, math.nan, math.nan
+        round(s.boot_s * 1e6), s.flight.air.altitude_m, s.altitude_m, above_home_m, above_home_m, math.nan, math.nan
     )
 
 
@@ -255,17 +247,17 @@ def estimator_status(s: Snapshot) -> Any:
 
 def simstate(s: Snapshot) -> Any:
     """SIMSTATE (164): the truth."""
-    t = s.true_state
-    yaw = s.frame.heading_to_local(t.psi_rad, s.true_lla[0], s.true_lla[1])
-    lat, lon = round(s.true_lla[0] * 1e7), round(s.true_lla[1] * 1e7)
+    t = s.flight.state
+    yaw = s.frame.heading_to_local(t.psi_rad, s.flight.lla[0], s.flight.lla[1])
+    lat, lon = round(s.flight.lla[0] * 1e7), round(s.flight.lla[1] * 1e7)
     return mavlink.MAVLink_simstate_message(t.phi_rad, 0.0, yaw, 0.0, 0.0, 0.0, t.p_radps, 0.0, t.r_radps, lat, lon)
 
 
 def sim_state(s: Snapshot) -> Any:
     """SIM_STATE (108): the truth."""
-    t, (lat, lon, alt) = s.true_state, s.true_lla
+    t, (lat, lon, alt) = s.flight.state, s.flight.lla
     yaw = s.frame.heading_to_local(t.psi_rad, lat, lon)
-    north, east, down = s.frame.vector_to_local_ned(s.true_velocity_mps, lat, lon)
+    north, east, down = s.frame.vector_to_local_ned(s.flight.velocity_mps, lat, lon)
     cr, sr, cy, sy = math.cos(t.phi_rad / 2), math.sin(t.phi_rad / 2), math.cos(yaw / 2), math.sin(yaw / 2)
     return mavlink.MAVLink_sim_state_message(
         cr * cy, sr * cy, -sr * sy, cr * sy, t.phi_rad, 0.0, yaw, 0.0, 0.0, 0.0, t.p_radps, 0.0, t.r_radps,

@@ -1,9 +1,6 @@
-"""Hand-written MAVLink 2 frames of messages that pymavlink's ardupilotmega dialect lacks.
+"""The messages that carry a range: PEER_RANGE, RANGING_BEACON, DEBUG_VECT and NAMED_VALUE_FLOAT.
 
-They are PEER_RANGE and RANGING_BEACON. Ranges can also be built as DEBUG_VECT and as NAMED_VALUE_FLOAT, for autopilots that
-can send nothing else.
-
-Written from the messages' definitions, not from the service's code, so that the wire is checked from two sides. Frame
+PEER_RANGE is packed by hand from its definition, not by the service's code, so that the wire is checked from two sides. Frame
 layout: https://mavlink.io/en/guide/serialization.html.
 """
 
@@ -11,71 +8,20 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from pymavlink.dialects.v20 import development
 from pymavlink.generator.mavcrc import x25crc
 
 PEER_RANGE_ID = 181600  # source: the dialect of gcs-coloc
-RANGING_BEACON_ID = 513  # source: MAVLink, development.xml
-
-# Fields in wire order: the largest types first, definition order among equals.
-_PEER_RANGE_FIELDS = (
-    ("uint64_t", "time_usec"),
-    ("float", "range"),
-    ("float", "range_std"),
-    ("uint16_t", "sequence"),
-    ("uint8_t", "peer_system"),
-    ("uint8_t", "quality"),
-    ("uint8_t", "device_id"),
-)
-_RANGING_BEACON_FIELDS = (
-    ("uint64_t", "time_usec"),
-    ("uint32_t", "range"),
-    ("int32_t", "lat"),
-    ("int32_t", "lon"),
-    ("float", "alt"),
-    ("uint32_t", "hacc_est"),
-    ("uint32_t", "vacc_est"),
-    ("uint32_t", "range_accuracy"),
-    ("uint16_t", "beacon_id"),
-    ("uint16_t", "carrier_freq"),
-    ("uint8_t", "target_system"),
-    ("uint8_t", "target_component"),
-    ("uint8_t", "alt_type"),
-    ("uint8_t", "sequence"),
-    ("uint8_t", "status"),
-)
+_PEER_RANGE_CRC_EXTRA = 116  # source: the same; a test derives it from the definition
 _UINT32_UNKNOWN = 0xFFFFFFFF  # MAVLink's unknown of the type
 _INT32_UNKNOWN = 0x7FFFFFFF  # the same
 _ALT_MSL = 1
 
 
-def crc_extra(name: str, fields: Sequence[tuple[str, str]]) -> int:
-    """CRC_EXTRA of a message without arrays: its name and its fields (type, name) in wire order."""
-    crc = x25crc()
-    crc.accumulate_str(name + " ")
-    for type_name, field in fields:
-        crc.accumulate_str(f"{type_name} {field} ")
-    value: int = crc.crc
-    return (value & 0xFF) ^ (value >> 8)
-
-
-_PEER_RANGE_CRC_EXTRA = crc_extra("PEER_RANGE", _PEER_RANGE_FIELDS)
-_RANGING_BEACON_CRC_EXTRA = crc_extra("RANGING_BEACON", _RANGING_BEACON_FIELDS)
-
-
-def _frame(message_id: int, payload: bytes, extra: int, sysid: int, compid: int, sequence: int) -> bytes:
-    payload = payload.rstrip(b"\0") or payload[:1]
-    head = struct.pack("<BBBBBB", len(payload), 0, 0, sequence & 0xFF, sysid, compid) + message_id.to_bytes(3, "little")
-    crc = x25crc(head + payload)
-    crc.accumulate(bytes([extra]))
-    return b"\xfd" + head + payload + struct.pack("<H", crc.crc)
-
-
 def peer_range_frame(
-    *,
     sysid: int,
     compid: int,
     frame_sequence: int,
@@ -96,14 +42,14 @@ def peer_range_frame(
     """
     fields = time_usec, range_m, range_std_m, sequence & 0xFFFF, peer_system, quality, device_id
     payload = struct.pack("<QffHBBBBH", *fields, int(station is not None), station or 0)
-    return _frame(PEER_RANGE_ID, payload, _PEER_RANGE_CRC_EXTRA, sysid, compid, frame_sequence)
+    payload = payload.rstrip(b"\0") or payload[:1]
+    head = struct.pack("<BBBBBB", len(payload), 0, 0, frame_sequence & 0xFF, sysid, compid) + PEER_RANGE_ID.to_bytes(3, "little")
+    crc = x25crc(head + payload)
+    crc.accumulate(bytes([_PEER_RANGE_CRC_EXTRA]))
+    return b"\xfd" + head + payload + struct.pack("<H", crc.crc)
 
 
-def ranging_beacon_frame(
-    *,
-    sysid: int,
-    compid: int,
-    frame_sequence: int,
+def ranging_beacon(
     time_usec: int,
     peer_system: int,
     range_m: float,
@@ -111,33 +57,32 @@ def ranging_beacon_frame(
     sequence: int,
     station: int | None = None,
     station_lla: tuple[float, float, float] | None = None,
-) -> bytes:
-    """Pack RANGING_BEACON (513).
+) -> Any:
+    """Build RANGING_BEACON (513).
 
     `station_lla` is the position of the `station` (degrees, m above mean sea level). Without one, `beacon_id` is the
     peer's system id, and the position is marked unknown.
     """
-    lat_deg, lon_deg, alt_m = station_lla if station_lla is not None else (math.nan, math.nan, math.nan)
-    accuracy = round(range_std_m * 1000.0) if range_std_m > 0.0 else _UINT32_UNKNOWN
-    payload = struct.pack(
-        "<QIiifIIIHHBBBBB",
-        time_usec,
-        round(range_m * 1000.0),
-        _INT32_UNKNOWN if station_lla is None else round(lat_deg * 1e7),
-        _INT32_UNKNOWN if station_lla is None else round(lon_deg * 1e7),
-        alt_m,
-        _UINT32_UNKNOWN,
-        _UINT32_UNKNOWN,
-        accuracy,
-        peer_system if station is None else station,
-        0,
-        0,
-        0,
-        0 if station_lla is None else _ALT_MSL,
-        sequence & 0xFF,
-        0,
+    lat, lon, alt_m = _INT32_UNKNOWN, _INT32_UNKNOWN, math.nan
+    if station_lla is not None:
+        lat, lon, alt_m = round(station_lla[0] * 1e7), round(station_lla[1] * 1e7), station_lla[2]
+    return development.MAVLink_ranging_beacon_message(
+        time_usec=time_usec,
+        target_system=0,
+        target_component=0,
+        beacon_id=peer_system if station is None else station,
+        range=round(range_m * 1000.0),
+        lat=lat,
+        lon=lon,
+        alt=alt_m,
+        alt_type=0 if station_lla is None else _ALT_MSL,
+        hacc_est=_UINT32_UNKNOWN,
+        vacc_est=_UINT32_UNKNOWN,
+        carrier_freq=0,
+        range_accuracy=round(range_std_m * 1000.0) if range_std_m > 0.0 else _UINT32_UNKNOWN,
+        sequence=sequence & 0xFF,
+        status=0,
     )
-    return _frame(RANGING_BEACON_ID, payload, _RANGING_BEACON_CRC_EXTRA, sysid, compid, frame_sequence)
 
 
 def debug_range(time_usec: int, peer_system: int, range_m: float, range_std_m: float, station: int | None = None) -> Any:

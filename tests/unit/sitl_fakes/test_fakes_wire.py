@@ -12,7 +12,7 @@ from pymavlink.generator import mavparse
 
 from sitl_fakes.fleet import Fleet
 from sitl_fakes.scenario import SCENARIOS, load_scenario
-from sitl_fakes.wire import peer_range_frame, ranging_beacon_frame
+from sitl_fakes.wire import peer_range_frame, ranging_beacon
 from tests.unit.sitl_fakes.fakes_support import parse, scenario
 
 DEFINITION = """<?xml version="1.0"?><mavlink><version>1</version><dialect>0</dialect><messages>
@@ -77,10 +77,8 @@ def test_trailing_zeros_of_the_payload_are_cut(definitions):
 
 
 def test_ranging_beacon_is_laid_out_as_defined(definitions):
-    frame = ranging_beacon_frame(
-        sysid=4, compid=1, frame_sequence=5, time_usec=99, peer_system=2, range_m=1234.5678, range_std_m=0.25, sequence=300
-    )
-    message_id, _, _, _, payload = opened(frame, definitions[513].crc_extra)
+    message = ranging_beacon(time_usec=99, peer_system=2, range_m=1234.5678, range_std_m=0.25, sequence=300)
+    message_id, _, _, _, payload = opened(message.pack(mavlink.MAVLink(None, 4, 1)), definitions[513].crc_extra)
     names = [f.name for f in definitions[513].ordered_fields]
     values = dict(zip(names, struct.unpack("<QIiifIIIHHBBBBB", payload.ljust(45, b"\0")), strict=True))
     assert message_id == 513
