@@ -160,7 +160,7 @@ class Forwarder:
             else:
                 out.frames_accepted += 1
                 self._to_vehicles(raw, out)
-        self.counts.add_all(damage)
+        self.counts.update(damage)
         out.refused += bool(damage)
 
     def echo(self, frame: bytes) -> None:

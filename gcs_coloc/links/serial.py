@@ -13,14 +13,14 @@ import os
 import re
 import termios
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import serial
 
 from gcs_coloc.core.errors import LinkError
 from gcs_coloc.links.base import MAX_UNSENT_BYTES, Address, Clock, DatagramHandler, LinkAddress, MalformedAddressError
-from gcs_coloc.links.transport import FrameSource, Outbox, RetryDelays, retry_delays
-from gcs_coloc.mavlink.refusals import Counts, Refusal
+from gcs_coloc.links.transport import FrameSource, Outbox, StreamLink
+from gcs_coloc.mavlink.refusals import Refusal
 
 DEFAULT_BAUD = 57600
 """The factory setting of SiK telemetry radios, and of SERIAL1_BAUD in ArduPilot."""
@@ -74,34 +74,22 @@ class SerialDevice(LinkAddress):
         return SerialLink(self, handler, clock, most_unsent_bytes=most_unsent_bytes)
 
 
-class SerialLink:
+class SerialLink(StreamLink):
     """A serial device such as a telemetry radio.
 
     All vehicles behind it have one address, the one of `peers`.
     """
 
-    is_late = False
-
-    def __init__(
-        self,
-        address: SerialDevice,
-        handler: DatagramHandler,
-        clock: Clock,
-        delays: RetryDelays = retry_delays,
-        most_unsent_bytes: int = MAX_UNSENT_BYTES,
-    ) -> None:
-        self.counts = Counts()
+    def __init__(self, address: SerialDevice, *settings: Any, **further: Any) -> None:
+        super().__init__(address, *settings, **further)
         self._far_end: Address = ("serial", address.device)
         self._address = address
-        self.name = str(address)
-        self._delays = delays
         self._port: serial.Serial | None = None
         self._fd = -1
-        self._source = FrameSource(self, self._far_end, handler, clock)
+        self._source = FrameSource(self, self._far_end, self.handler, self.clock)
         self._unsent = b""  # the rest of the payload that is being written
-        self._outbox = Outbox(self.counts, most_unsent_bytes)
+        self._outbox = Outbox(self.counts, self.most_unsent_bytes)
         self._lost = asyncio.Event()
-        self._task: asyncio.Task[None] | None = None
 
     @property
     def peers(self) -> tuple[Address, ...]:
@@ -117,7 +105,7 @@ class SerialLink:
             self._start()
         except _DEVICE_ERRORS as error:
             raise LinkError(f"{self.name}: {self._cannot_open(error)}") from error
-        self._task = asyncio.get_running_loop().create_task(self._stay_open(), name=self.name)
+        self._keep(self._stay_open())
 
     def _cannot_open(self, error: Exception) -> str:
         number = getattr(error, "errno", None)
@@ -159,7 +147,7 @@ class SerialLink:
             await self._lost.wait()
             self.counts.add(Refusal.CONNECTION_LOST)
             log.warning("%s: device lost, opening it again when it is back", self.name)
-            for delay_s in self._delays():
+            for delay_s in self.delays():
                 await asyncio.sleep(delay_s)
                 try:
                     self._start()
@@ -180,9 +168,6 @@ class SerialLink:
             self._source.feed(data)
         else:
             self._stop()
-
-    def receive_waiting(self, most: int) -> None:
-        """Do nothing: the event loop's next turn reads the device."""
 
     def send(self, address: Address, payload: bytes, *, forwarded: bool = False) -> None:
         """Send frames, or keep them while the device has not accepted what came before."""
@@ -212,9 +197,5 @@ class SerialLink:
 
     async def close(self) -> None:
         """Close the device and stay so."""
-        if self._task is not None:
-            self._task.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._task
-            self._task = None
+        await self._keep_no_longer()
         self._stop()

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
 import socket
+from typing import Any
 
-from gcs_coloc.links.base import MAX_UNSENT_BYTES, Address, Clock, DatagramHandler, Link, LinkAddress
-from gcs_coloc.links.transport import FrameSource, NetworkAddress, Outbox, RetryDelays, network_error, reason, retry_delays
-from gcs_coloc.mavlink.refusals import Counts, Refusal
+from gcs_coloc.links.base import MAX_UNSENT_BYTES, Address, Clock, DatagramHandler, LinkAddress
+from gcs_coloc.links.transport import FrameSource, NetworkAddress, Outbox, StreamLink, network_error, reason
+from gcs_coloc.mavlink.refusals import Refusal
 
 MAX_CLIENTS = 64
 """Clients of one listening port. Chosen: more than a fleet that connects by TCP has vehicles."""
@@ -53,12 +53,10 @@ class TcpServer(NetworkAddress):
 class _Connection(asyncio.Protocol):
     """One TCP connection: frames in, and frames out as fast as the peer receives them."""
 
-    def __init__(self, link: Link, handler: DatagramHandler, clock: Clock, most_unsent_bytes: int) -> None:
+    def __init__(self, link: TcpClientLink | TcpServerLink) -> None:
         self.lost = asyncio.Event()
         self._link = link
-        self._handler = handler
-        self._clock = clock
-        self._outbox = Outbox(link.counts, most_unsent_bytes)
+        self._outbox = Outbox(link.counts, link.most_unsent_bytes)
         self._is_stalled = False
         self._source: FrameSource | None = None
         self._transport: asyncio.Transport | None = None
@@ -71,7 +69,7 @@ class _Connection(asyncio.Protocol):
         # What the system does not accept at once waits in the outbox, where it can still be dropped.
         transport.set_write_buffer_limits(high=0)
         self._transport = transport
-        self._source = FrameSource(self._link, self.address, self._handler, self._clock)
+        self._source = FrameSource(self._link, self.address, self._link.handler, self._link.clock)
 
     @property
     def address(self) -> Address:
@@ -111,31 +109,17 @@ class _Connection(asyncio.Protocol):
         self._transport.abort()
 
 
-class TcpClientLink:
+class TcpClientLink(StreamLink):
     """Connects to a port, such as a simulator's or a router's.
 
     A connection that fails or ends is made again for ever.
     """
 
-    is_late = False
+    _connection: _Connection | None = None
 
-    def __init__(
-        self,
-        address: TcpClient,
-        handler: DatagramHandler,
-        clock: Clock,
-        delays: RetryDelays = retry_delays,
-        most_unsent_bytes: int = MAX_UNSENT_BYTES,
-    ) -> None:
+    def __init__(self, address: TcpClient, *settings: Any, **further: Any) -> None:
+        super().__init__(address, *settings, **further)
         self._address = address
-        self.name = str(address)
-        self._most_unsent_bytes = most_unsent_bytes
-        self._handler = handler
-        self._clock = clock
-        self._delays = delays
-        self._connection: _Connection | None = None
-        self._task: asyncio.Task[None] | None = None
-        self.counts = Counts()
 
     @property
     def peers(self) -> tuple[Address, ...]:
@@ -152,19 +136,15 @@ class TcpClientLink:
             await loop.getaddrinfo(self._address.host, self._address.port, type=socket.SOCK_STREAM)
         except OSError as error:
             raise network_error(self._address, error) from error
-        self._task = loop.create_task(self._stay_connected(), name=self.name)
+        self._keep(self._stay_connected())
 
     async def _stay_connected(self) -> None:
         loop = asyncio.get_running_loop()
-        delays = self._delays()
+        delays = self.delays()
         level = logging.WARNING
         while True:
             try:
-                _, connection = await loop.create_connection(
-                    lambda: _Connection(self, self._handler, self._clock, self._most_unsent_bytes),
-                    self._address.host,
-                    self._address.port,
-                )
+                _, connection = await loop.create_connection(lambda: _Connection(self), self._address.host, self._address.port)
             except OSError as error:
                 log.log(level, "%s: cannot connect (%s), trying again", self.name, reason(error))
                 level = logging.DEBUG
@@ -174,12 +154,9 @@ class TcpClientLink:
                 await connection.lost.wait()
                 self._connection = None
                 log.warning("%s: connection lost, connecting again", self.name)
-                delays = self._delays()
+                delays = self.delays()
                 level = logging.WARNING
             await asyncio.sleep(next(delays))
-
-    def receive_waiting(self, most: int) -> None:
-        """Do nothing: asyncio reads its connections."""
 
     def send(self, address: Address, payload: bytes, *, forwarded: bool = False) -> None:
         """Send frames to the other end.
@@ -193,33 +170,22 @@ class TcpClientLink:
 
     async def close(self) -> None:
         """Disconnect and stay so."""
-        if self._task is not None:
-            self._task.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._task
-            self._task = None
+        await self._keep_no_longer()
         if self._connection is not None:
             self._connection.abort()
             await self._connection.lost.wait()
             self._connection = None
 
 
-class TcpServerLink:
+class TcpServerLink(StreamLink):
     """Listens for TCP connections; each client is one address."""
 
-    is_late = False
+    _server: asyncio.Server | None = None
 
-    def __init__(
-        self, address: TcpServer, handler: DatagramHandler, clock: Clock, most_unsent_bytes: int = MAX_UNSENT_BYTES
-    ) -> None:
+    def __init__(self, address: TcpServer, *settings: Any, **further: Any) -> None:
+        super().__init__(address, *settings, **further)
         self._address = address
-        self.name = str(address)
-        self._most_unsent_bytes = most_unsent_bytes
-        self._handler = handler
-        self._clock = clock
         self._clients: dict[Address, _ServerConnection] = {}
-        self._server: asyncio.Server | None = None
-        self.counts = Counts()
 
     @property
     def peers(self) -> tuple[Address, ...]:
@@ -231,15 +197,10 @@ class TcpServerLink:
         loop = asyncio.get_running_loop()
         try:
             self._server = await loop.create_server(
-                lambda: _ServerConnection(self, self._handler, self._clock, self._most_unsent_bytes, self._clients),
-                self._address.host,
-                self._address.port,
+                lambda: _ServerConnection(self, self._clients), self._address.host, self._address.port
             )
         except OSError as error:
             raise network_error(self._address, error) from error
-
-    def receive_waiting(self, most: int) -> None:
-        """Do nothing: asyncio reads its connections."""
 
     def send(self, address: Address, payload: bytes, *, forwarded: bool = False) -> None:
         """Send frames to one client; counted as NOT_CONNECTED where it is gone."""
@@ -265,15 +226,8 @@ class TcpServerLink:
 class _ServerConnection(_Connection):
     """A client's connection, in the server's list as long as it lasts."""
 
-    def __init__(
-        self,
-        link: TcpServerLink,
-        handler: DatagramHandler,
-        clock: Clock,
-        most_unsent_bytes: int,
-        clients: dict[Address, _ServerConnection],
-    ) -> None:
-        super().__init__(link, handler, clock, most_unsent_bytes)
+    def __init__(self, link: TcpServerLink, clients: dict[Address, _ServerConnection]) -> None:
+        super().__init__(link)
         self._clients = clients
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:

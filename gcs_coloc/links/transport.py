@@ -5,17 +5,19 @@ A byte stream has a queue of unsent payloads, delays between attempts to connect
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import errno
 import os
 import re
 import socket
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Coroutine, Iterator
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from gcs_coloc.core.errors import LinkError
-from gcs_coloc.links.base import Address, Clock, DatagramHandler, Link, LinkAddress, MalformedAddressError
+from gcs_coloc.links.base import MAX_UNSENT_BYTES, Address, Clock, DatagramHandler, Link, LinkAddress, MalformedAddressError
 from gcs_coloc.mavlink.framing import StreamFramer
 from gcs_coloc.mavlink.refusals import Counts, Refusal
 
@@ -192,6 +194,41 @@ def retry_delays() -> Iterator[float]:
     while True:
         yield delay_s
         delay_s = min(2.0 * delay_s, MAX_RETRY_S)
+
+
+class StreamLink:
+    """What links share that carry a byte stream: settings, counts, and a task that keeps the stream open."""
+
+    is_late = False
+
+    def __init__(
+        self,
+        address: LinkAddress,
+        handler: DatagramHandler,
+        clock: Clock,
+        delays: RetryDelays = retry_delays,
+        most_unsent_bytes: int = MAX_UNSENT_BYTES,
+    ) -> None:
+        self.name = str(address)
+        self.counts = Counts()
+        self.handler = handler
+        self.clock = clock
+        self.delays = delays
+        self.most_unsent_bytes = most_unsent_bytes
+        self._task: asyncio.Task[None] | None = None
+
+    def receive_waiting(self, most: int) -> None:
+        """Do nothing: the event loop's next turn reads the stream."""
+
+    def _keep(self, open_for_ever: Coroutine[None, None, None]) -> None:
+        self._task = asyncio.get_running_loop().create_task(open_for_ever, name=self.name)
+
+    async def _keep_no_longer(self) -> None:
+        if self._task is not None:
+            self._task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._task
+            self._task = None
 
 
 class FrameSource:

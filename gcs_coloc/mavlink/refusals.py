@@ -6,7 +6,7 @@ The wording is for the operator.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 
 
@@ -142,35 +142,12 @@ Reason = StrEnum | InvalidValue
 """A member of a closed set, so that the counts are bounded whatever is sent to us."""
 
 
-class Counts(Mapping[str, int]):
+class Counts(Counter[str]):
     """How often each reason occurred since the start."""
-
-    def __init__(self) -> None:
-        self._by_reason: dict[Reason, int] = {}
 
     def add(self, reason: Reason, times: int = 1) -> None:
         """Count `reason` as having occurred `times` more times."""
-        self._by_reason[reason] = self._by_reason.get(reason, 0) + times
-
-    def add_all(self, others: Counts) -> None:
-        """Count all that `others` has counted."""
-        for reason, times in others._by_reason.items():
-            self.add(reason, times)
-
-    def __getitem__(self, reason: str) -> int:
-        return self._by_reason.get(reason, 0)  # type: ignore[call-overload, no-any-return]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._by_reason)
-
-    def __len__(self) -> int:
-        return len(self._by_reason)
-
-    def __contains__(self, reason: object) -> bool:
-        return reason in self._by_reason
-
-    def __repr__(self) -> str:
-        return f"Counts({self._by_reason})"
+        self[reason] += times
 
 
 _ROUTINE = frozenset(
