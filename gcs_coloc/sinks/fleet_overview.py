@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Literal
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from gcs_coloc.core.alarms.alarms import Alarm, AlarmKind, AlarmState, LightColour, traffic_light
 from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
@@ -17,6 +17,11 @@ from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
 _MAX_VEHICLES = 255  # chosen: bounds what a page takes from a broker; `max_vehicles` of a fleet is at most 250
 _MAX_ALARMS = 2000
 """Chosen: more than a fleet of 255 vehicles has in its list."""
+
+
+Model = TypeVar("Model", bound=BaseModel)
+_Finite = Annotated[float | None, BeforeValidator(lambda value: value if value is not None and math.isfinite(value) else None)]
+"""A number that JSON can hold."""
 
 
 # Fields of a newer version are passed over: a page of all fleets shows services of several versions.
@@ -36,11 +41,11 @@ class VehicleOverview(_Told):
     reason: str
     gps_state: str
     age_s: float
-    lat_deg: float | None
-    lon_deg: float | None
-    alt_msl_m: float | None
-    bound_95_m: float | None
-    hpl_m: float | None
+    lat_deg: _Finite
+    lon_deg: _Finite
+    alt_msl_m: _Finite
+    bound_95_m: _Finite
+    hpl_m: _Finite
     aiding: str
     aiding_has_fix: bool
 
@@ -82,31 +87,15 @@ def fleet_overview(snapshot: FleetSnapshot, alarms: Iterable[Alarm], *, host: st
         host=host,
         estimator=snapshot.estimator,
         vehicles=tuple(_vehicle(v, snapshot.loop_lag_s) for v in snapshot.vehicles),
-        alarms=tuple(
-            AlarmOverview.model_validate({key: getattr(alarm, key) for key in AlarmOverview.model_fields}) for alarm in alarms
-        ),
+        alarms=tuple(told(AlarmOverview, alarm) for alarm in alarms),
     )
 
 
 def _vehicle(v: VehicleSnapshot, loop_lag_s: float) -> VehicleOverview:
     light, reason = traffic_light(v, loop_lag_s)
-    return VehicleOverview(
-        sysid=v.sysid,
-        name=v.name,
-        light=light,
-        reason=reason,
-        gps_state=v.gps_state,
-        age_s=v.age_s,
-        lat_deg=_finite(v.lat_deg),
-        lon_deg=_finite(v.lon_deg),
-        alt_msl_m=_finite(v.alt_msl_m),
-        bound_95_m=_finite(v.bound_95_m),
-        hpl_m=_finite(v.hpl_m),
-        aiding=v.aiding,
-        aiding_has_fix=v.aiding_has_fix,
-    )
+    return told(VehicleOverview, v, light=light, reason=reason)
 
 
-def _finite(value: float | None) -> float | None:
-    """A number that JSON can hold."""
-    return value if value is not None and math.isfinite(value) else None
+def told(model: type[Model], source: object, **further: Any) -> Model:
+    """Make a message with the fields of a snapshot of the core, and some further ones."""
+    return model.model_validate({key: getattr(source, key) for key in model.model_fields.keys() - further.keys()} | further)

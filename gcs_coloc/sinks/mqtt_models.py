@@ -7,7 +7,7 @@ docs/reference/mqtt.md describes every topic and field.
 from __future__ import annotations
 
 import json
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict
 
@@ -16,13 +16,11 @@ from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
 from gcs_coloc.core.snapshot import FleetSnapshot, OutSnapshot, VehicleSnapshot
 from gcs_coloc.core.standby.sign_of_life import StandbyState
 from gcs_coloc.core.station_review import StationSnapshot
-from gcs_coloc.sinks.fleet_overview import FleetOverview
+from gcs_coloc.sinks.fleet_overview import FleetOverview, told
 from gcs_coloc.sinks.mqtt_inbox import Command, Range, StandbyCommand
 
 TOPIC_VERSION = "v2"
 """Stands in every topic. A change that breaks readers makes it the next one; v1 was that of version 0.1."""
-
-_Model = TypeVar("_Model", bound=BaseModel)
 
 
 class _Sent(BaseModel):
@@ -192,9 +190,9 @@ BY_TOPIC: dict[str, type[BaseModel]] = {
 def of_vehicle(v: VehicleSnapshot, at_unix_s: float | None) -> dict[str, _Sent]:
     """What is published of one vehicle, by the last part of its topic."""
     return {
-        "state": _told(VehicleState, v, at_unix_s=at_unix_s),
-        "estimate": _told(VehicleEstimate, v, at_unix_s=at_unix_s),
-        "health": _told(VehicleHealth, v, at_unix_s=at_unix_s),
+        "state": told(VehicleState, v, at_unix_s=at_unix_s),
+        "estimate": told(VehicleEstimate, v, at_unix_s=at_unix_s),
+        "health": told(VehicleHealth, v, at_unix_s=at_unix_s),
         "readiness": _readiness(v, at_unix_s),
     }
 
@@ -203,18 +201,18 @@ def _readiness(v: VehicleSnapshot, at_unix_s: float | None) -> ReadinessTold:
     found: dict[str, Any] = {"at_unix_s": at_unix_s, "sysid": v.sysid}
     if v.readiness is None:
         return ReadinessTold.model_validate(dict.fromkeys(ReadinessTold.model_fields) | found | {"text": ""})
-    return _told(ReadinessTold, v.readiness, **found)
+    return told(ReadinessTold, v.readiness, **found)
 
 
 def of_station(station: StationSnapshot, at_unix_s: float | None) -> StationState:
     """What is published of one station."""
-    return _told(StationState, station, at_unix_s=at_unix_s)
+    return told(StationState, station, at_unix_s=at_unix_s)
 
 
 def of_alarm(alarm: Alarm, snapshot: FleetSnapshot) -> AlarmChange:
     """What is published of an alarm that has changed; `snapshot` knows the time."""
     at_unix_s, raised_unix_s = unix_s(alarm.at_s, snapshot), unix_s(alarm.raised_at_s, snapshot)
-    return _told(AlarmChange, alarm, at_unix_s=at_unix_s, raised_unix_s=raised_unix_s)
+    return told(AlarmChange, alarm, at_unix_s=at_unix_s, raised_unix_s=raised_unix_s)
 
 
 def status(snapshot: FleetSnapshot | None, *, online: bool) -> FleetStatus:
@@ -232,13 +230,8 @@ def status(snapshot: FleetSnapshot | None, *, online: bool) -> FleetStatus:
         vehicles=vehicles,
         refused=snapshot.refused,
         outs=snapshot.outs,
-        standby=_told(StandbyStatus, snapshot.standby) if snapshot.standby is not None else None,
+        standby=told(StandbyStatus, snapshot.standby) if snapshot.standby is not None else None,
     )
-
-
-def _told(model: type[_Model], source: object, **further: Any) -> _Model:
-    """Make a message with the fields of a snapshot of the core, and some further ones."""
-    return model.model_validate({key: getattr(source, key) for key in model.model_fields.keys() - further.keys()} | further)
 
 
 def unix_s(at_s: float, snapshot: FleetSnapshot) -> float | None:

@@ -13,6 +13,7 @@ from typing import TypeVar
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from pydantic import TypeAdapter, ValidationError
 from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
@@ -71,32 +72,30 @@ class _LiveRoutes:
     async def command(self, request: Request) -> Response:
         """An operator override on one vehicle."""
         if not bears_token(request.headers, self._token):
-            return _refused(403, "commands need the operator's token")
+            raise _refused(403, "commands need the operator's token")
         sysid, kind = request.path_params["sysid"], _OVERRIDES.get(request.path_params["what"])
         if kind is None:
-            return _refused(404, f"there are commands for {', '.join(_OVERRIDES)}")
+            raise _refused(404, f"there are commands for {', '.join(_OVERRIDES)}")
         if sysid not in {v.sysid for v in self._hooks.snapshot().vehicles}:
-            return _refused(404, f"no vehicle {sysid} was heard")
+            raise _refused(404, f"no vehicle {sysid} was heard")
         refusal = self._hooks.command_refusal()
         if refusal is not None:
-            return _refused(409, refusal)
+            raise _refused(409, refusal)
         override = await _chosen(request, "override", kind)
-        if isinstance(override, Response):
-            return override
         self._hooks.apply_command(sysid, override)
         return JSONResponse({"sysid": sysid, "override": override.value})
 
     async def order(self, request: Request) -> Response:
         """An operator's order on the hot standby."""
         if not bears_token(request.headers, self._token):
-            return _refused(403, "orders need the operator's token")
+            raise _refused(403, "orders need the operator's token")
         if self._hooks.order_standby is None:
-            return _refused(404, "there is no hot standby: [standby] peer is not set")
+            raise _refused(404, "there is no hot standby: [standby] peer is not set")
         order = await _chosen(request, "order", StandbyOrder)
-        if isinstance(order, Response):
-            return order
         refusal = self._hooks.order_standby(order)
-        return _refused(409, refusal) if refusal is not None else JSONResponse({"order": order.value})
+        if refusal is not None:
+            raise _refused(409, refusal)
+        return JSONResponse({"order": order.value})
 
     async def acknowledge(self, request: Request) -> Response:
         """Acknowledge an alarm.
@@ -105,7 +104,7 @@ class _LiveRoutes:
         """
         alarm_id = request.path_params["alarm_id"]
         if not self._hooks.acknowledge(alarm_id):
-            return _refused(404, f"no alarm {alarm_id} waits to be acknowledged")
+            raise _refused(404, f"no alarm {alarm_id} waits to be acknowledged")
         return JSONResponse({"id": alarm_id})
 
     async def metrics(self, _: Request) -> Response:
@@ -113,33 +112,30 @@ class _LiveRoutes:
         return Response(generate_latest(self._registry), headers={"content-type": CONTENT_TYPE_LATEST})
 
 
-def _refused(status: int, text: str) -> Response:
-    return PlainTextResponse(f"{text}\n", status_code=status)
+def _refused(status: int, text: str) -> HTTPException:
+    return HTTPException(status, f"{text}\n")
 
 
-async def _body(request: Request) -> bytes | Response:
-    """The body of a command, or the refusal of one that is too long."""
+async def _body(request: Request) -> bytes:
+    """The body of a command; one that is too long is refused."""
     body = b""
     async for part in request.stream():
         body += part
         if len(body) > _MAX_BODY_BYTES:
-            return _refused(413, "too long")
+            raise _refused(413, "too long")
     return body
 
 
-async def _chosen(request: Request, key: str, kind: type[Choice]) -> Choice | Response:
-    """The one value in a body `{key: VALUE}`, or the refusal of another body."""
-    body = await _body(request)
-    if isinstance(body, Response):
-        return body
+async def _chosen(request: Request, key: str, kind: type[Choice]) -> Choice:
+    """The one value in a body `{key: VALUE}`; another body is refused."""
     try:
-        content: dict[str, Choice] = TypeAdapter(dict[str, kind]).validate_json(body)  # type: ignore[valid-type]
+        content: dict[str, Choice] = TypeAdapter(dict[str, kind]).validate_json(await _body(request))  # type: ignore[valid-type]
     except ValidationError:
         content = {}
     if content.keys() == {key}:
         return content[key]
     values = ", ".join(f'"{value.value}"' for value in kind)
-    return _refused(422, f'expected {{"{key}": VALUE}}, VALUE one of {values}')
+    raise _refused(422, f'expected {{"{key}": VALUE}}, VALUE one of {values}')
 
 
 async def _play(playback: Playback, request: Request) -> Response:
@@ -147,15 +143,12 @@ async def _play(playback: Playback, request: Request) -> Response:
 
     It needs no token: a replay reaches no aircraft.
     """
-    body = await _body(request)
-    if isinstance(body, Response):
-        return body
     try:
-        command = PlaybackCommand.model_validate_json(body)
+        command = PlaybackCommand.model_validate_json(await _body(request))
     except ValidationError as error:
         wrong = "; ".join(f"{'.'.join(str(part) for part in e['loc'])}: {e['msg']}" for e in error.errors())
         expected = '{"playing": true or false, "speed": NUMBER or "max", "seek_s": UNIX seconds, "halt": true}'
-        return _refused(422, f"expected {expected}, any of them: {wrong}")
+        raise _refused(422, f"expected {expected}, any of them: {wrong}") from None
     playback.apply_command(command)
     return Response(playback.state.model_dump_json(), media_type="application/json")
 
@@ -235,7 +228,9 @@ def page_app(
 
     async def ready(_: Request) -> Response:
         text = fault()
-        return PlainTextResponse("ok\n") if text is None else _refused(503, text)
+        if text is not None:
+            raise _refused(503, text)
+        return PlainTextResponse("ok\n")
 
     return Starlette(
         routes=[

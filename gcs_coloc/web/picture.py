@@ -51,24 +51,20 @@ class LinkRates:
     """Rates and loss of the links and ground tools over the last 5 s, from the totals in snapshots."""
 
     def __init__(self) -> None:
-        self._links: deque[tuple[float, dict[int, LinkSnapshot]]] = deque()
-        self._outs: deque[tuple[float, dict[str, OutSnapshot]]] = deque()
+        self._totals: deque[tuple[float, dict[int, LinkSnapshot], dict[str, OutSnapshot]]] = deque()
 
     def update(self, fleet: FleetSnapshot) -> None:
         """Add the totals of one snapshot."""
-        self._links.append((fleet.at_s, {link.sysid: link for link in fleet.links}))
-        self._outs.append((fleet.at_s, {out.name: out for out in fleet.outs}))
-        while fleet.at_s - self._links[0][0] > _RATE_WINDOW_S:
-            self._links.popleft()
-            self._outs.popleft()
+        self._totals.append((fleet.at_s, {link.sysid: link for link in fleet.links}, {out.name: out for out in fleet.outs}))
+        while fleet.at_s - self._totals[0][0] > _RATE_WINDOW_S:
+            self._totals.popleft()
 
     def counts(self, fleet: FleetSnapshot) -> CountsFrame:
         """The counters of a snapshot, with the rates since the oldest snapshot of the window."""
-        links_s, links = self._links[0] if self._links else (fleet.at_s, {})
-        outs_s, outs = self._outs[0] if self._outs else (fleet.at_s, {})
+        from_s, links, outs = self._totals[0] if self._totals else (fleet.at_s, {}, {})
         return CountsFrame(
-            links=tuple(_link_frame(link, links.get(link.sysid), fleet.at_s - links_s) for link in fleet.links),
-            outs=tuple(_out_frame(out, outs.get(out.name), fleet.at_s - outs_s) for out in fleet.outs),
+            links=tuple(_link_frame(link, links.get(link.sysid), fleet.at_s - from_s) for link in fleet.links),
+            outs=tuple(_out_frame(out, outs.get(out.name), fleet.at_s - from_s) for out in fleet.outs),
             refused=fleet.refused,
             estimator_counts=fleet.estimator_counts,
         )
@@ -172,14 +168,7 @@ def _link_frame(now: LinkSnapshot, then: LinkSnapshot | None, elapsed_s: float) 
         rate_hz = received / elapsed_s
         if received + lost > 0:
             loss_percent = 100.0 * lost / (received + lost)
-    return LinkFrame(
-        sysid=now.sysid,
-        received=now.received,
-        lost=now.lost,
-        duplicates=now.duplicates,
-        rate_hz=rate_hz,
-        loss_percent=loss_percent,
-    )
+    return LinkFrame(**asdict(now), rate_hz=rate_hz, loss_percent=loss_percent)
 
 
 def _out_frame(now: OutSnapshot, then: OutSnapshot | None, elapsed_s: float) -> OutFrame:
