@@ -13,7 +13,7 @@ from statistics import median
 
 from bench.figures import Figure
 from gcs_coloc.config.fleets import load_settings
-from gcs_coloc.recorder.judging.judged_flight import JudgedBy, find_recordings, judge_flight
+from gcs_coloc.recorder.judged_flight import JudgedBy, find_recordings, judge_flight
 from gcs_coloc.runtime.tasks import Workers, run_tasks
 from gcs_coloc.study.integrity.trial import fly_trial
 from sitl_fakes.fleet import STEP_S, Fleet

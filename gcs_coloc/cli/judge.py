@@ -15,10 +15,10 @@ from rich.table import Table
 
 from gcs_coloc.cli.recordings import EstimatorOption, FleetOption, settings_for
 from gcs_coloc.cli.task_options import JobsOption, SchedulerOption, progress_of, result_console, workers_for
-from gcs_coloc.recorder.judging.comparison import FIGURES, Aspect, ChangeOutcome, FigureChange, Tolerance, compare
-from gcs_coloc.recorder.judging.judge_run import judge as judge_all
-from gcs_coloc.recorder.judging.judge_run import judged_with, read_baseline, write_baseline
-from gcs_coloc.recorder.judging.judged_flight import JudgedFlight, find_recordings
+from gcs_coloc.recorder.comparison import FIGURES, Aspect, ChangeOutcome, FigureChange, Tolerance, compare
+from gcs_coloc.recorder.judge_run import judge as judge_all
+from gcs_coloc.recorder.judge_run import judged_with, read_baseline, write_baseline
+from gcs_coloc.recorder.judged_flight import JudgedFlight, find_recordings
 from gcs_coloc.runtime.output_files import check_output_file, make_output_directory
 
 _WORSE = 3

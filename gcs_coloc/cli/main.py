@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
 from enum import Enum
 from importlib import import_module
@@ -46,7 +47,7 @@ SUBCOMMANDS = {
     "evaluate": "evaluate",
     "judge": "judge",
     "calibrate": "calibrate",
-    "import": "import_data",
+    "import": "evaluate",
     "plan": "plan",
     "study": "study",
     "watch": "watch",
@@ -66,10 +67,11 @@ class LateCommands(TyperGroup):
         if cmd_name not in SUBCOMMANDS:
             return super().get_command(ctx, cmd_name)
         module = import_module(f"gcs_coloc.cli.{SUBCOMMANDS[cmd_name]}")
-        if hasattr(module, "app"):
+        function = getattr(module, cmd_name.replace("-", "_"), None)
+        if function is None:
             return typer.main.get_command(module.app)
         alone = typer.Typer(add_completion=False)
-        alone.command(cmd_name)(getattr(module, cmd_name.replace("-", "_")))
+        alone.command(cmd_name)(function)
         return typer.main.get_command(alone)
 
 
@@ -81,6 +83,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+
+UdpOption = Annotated[
+    list[str] | None, typer.Option(help="Listen for vehicles on a UDP port: PORT or HOST:PORT. May be given several times.")
+]
 
 
 class LogLevel(str, Enum):  # noqa: UP042 - typer shows the values of a str Enum as choices
@@ -148,12 +155,32 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
+def given(flags: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the flags that were given: those that are neither None nor empty, in their tables too."""
+    tables = {key: given(value) if isinstance(value, Mapping) else value for key, value in flags.items()}
+    return {key: value for key, value in tables.items() if value not in (None, [], {})}
+
+
+def links_of(udp: list[str] | None, link: list[str] | None) -> list[str]:
+    """Return the links to vehicles that --udp and --link name."""
+    return [*(f"udpin:{where}" for where in udp or ()), *(link or ())]
+
+
+def web_flags(web: str | None, no_web: bool) -> dict[str, Any]:
+    """Return the settings of the page that --web or --no-web states.
+
+    Raises:
+        UsageError: both are stated.
+    """
+    if web is not None and no_web:
+        raise UsageError("--web and --no-web exclude each other")
+    return {"on": not no_web, "address": web} if web is not None or no_web else {}
+
+
 @app.callback(invoke_without_command=True)
 def run(
     context: typer.Context,
-    udp: Annotated[
-        list[str] | None, typer.Option(help="Listen for vehicles on a UDP port: PORT or HOST:PORT. May be given several times.")
-    ] = None,
+    udp: UdpOption = None,
     link: Annotated[
         list[str] | None,
         typer.Option(
@@ -207,28 +234,19 @@ def run(
         from gcs_coloc.service.service import Service
         from gcs_coloc.sinks.console import log_to_stderr, terminal_of
 
-    links = [*(f"udpin:{where}" for where in udp or ()), *(link or ())]
-    flags: dict[str, Any] = {}
-    if links:
-        flags["links"] = links
-    if out:
-        flags["out"] = out
-    if estimator is not None:
-        flags["estimator"] = {"name": estimator}
-    if failed or healthy:
-        flags["fleet"] = {key: sysids for key, sysids in (("failed", failed), ("healthy", healthy)) if sysids}
-    if web is not None and no_web:
-        raise UsageError("--web and --no-web exclude each other")
-    if web is not None:
-        flags["web"] = {"on": True, "address": web}
-    elif no_web:
-        flags["web"] = {"on": False}
-    if record is not None:
-        if not record:
-            raise UsageError("--record '': names no directory; . is the one you are in")
-        flags["record"] = {"directory": record}
-    if peer is not None or standby:
-        flags["standby"] = ({"peer": peer} if peer is not None else {}) | ({"role": "standby"} if standby else {})
+    if record == "":
+        raise UsageError("--record '': names no directory; . is the one you are in")
+    flags = given(
+        {
+            "links": links_of(udp, link),
+            "out": out,
+            "estimator": {"name": estimator},
+            "fleet": {"failed": failed, "healthy": healthy},
+            "web": web_flags(web, no_web),
+            "record": {"directory": record},
+            "standby": {"peer": peer, "role": "standby" if standby else None},
+        }
+    )
     with naming(fleet or "" if supervisor is not None else ""):
         fleets = load_fleets(config, flags, fleet, is_checked=supervisor is not None)
     if config is None and not fleets[0].settings.links:

@@ -7,10 +7,11 @@ import json
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
+from gcs_coloc.cli.main import UdpOption, given, links_of
 from gcs_coloc.config.examples import EXAMPLES
 from gcs_coloc.config.fleets import PER_FLEET, FleetOf, load_fleets, load_settings
 from gcs_coloc.core.errors import UsageError
@@ -52,9 +53,7 @@ def example_config(
 
 
 def doctor(
-    udp: Annotated[
-        list[str] | None, typer.Option(help="Listen for vehicles on a UDP port: PORT or HOST:PORT. May be given several times.")
-    ] = None,
+    udp: UdpOption = None,
     link: Annotated[
         list[str] | None, typer.Option(help="A link to vehicles, by connection string. May be given several times.")
     ] = None,
@@ -76,9 +75,7 @@ def doctor(
     ] = None,
 ) -> None:
     """Check the set-up before a flight: the vehicles' parameters, telemetry, ranges, addresses and clocks."""
-    links = [*(f"udpin:{where}" for where in udp or ()), *(link or ())]
-    flags: dict[str, Any] = {"links": links} if links else {}
-    settings = load_settings(config, flags, fleet)
+    settings = load_settings(config, given({"links": links_of(udp, link)}), fleet)
     if not settings.links:
         raise UsageError("no link to listen on; give --udp 14550, another --link, or `links` in the configuration file")
     told = f"listening on {', '.join(settings.links)} for {seconds:g} s"

@@ -66,7 +66,7 @@ def report(
     estimator: EstimatorOption = None,
 ) -> None:
     """Write one self-contained HTML page of a recorded flight."""
-    from gcs_coloc.recorder.reports.html_report import page
+    from gcs_coloc.recorder.html_report import page
 
     check_output_file(out, "--out")
     history = _open(file, settings_for(config, fleet, estimator), ranges, truth)

@@ -68,11 +68,10 @@ def replay(
     tap = MeasurementTap(load_estimator(settings.estimator.name, settings.estimator.settings))
     engine = Engine(tap, settings.engine())
     log = TlogReader(file)
-    points = read_truth(truth) if truth is not None else []
+    points = read_truth(truth)
     report = FlightReport(engine, points)
-    table_ranges = read_ranges(ranges) if ranges is not None else []
-    own = (settings.mavlink.system_id, settings.mavlink.component_id)
-    through = driver.Replay(engine, log, table_ranges, report.add_outputs, own, settings.fingerprint())
+    own = settings.mavlink.own
+    through = driver.Replay(engine, log, read_ranges(ranges), report.add_outputs, own, settings.fingerprint())
     counts = driver.replay(through, report.observation_times(), report.observe, _pace(factor))
     findings = tap.findings(points, engine.frame)
     result: dict[str, Any] = {

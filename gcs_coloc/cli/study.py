@@ -190,8 +190,7 @@ def planning(
 
     Ten plans of different kind are flown with drawn noise through the whole engine.
     """
-    from gcs_coloc.study.planning.check_plans import CHECK_PLANS
-    from gcs_coloc.study.planning.plan_check import PlanCheck, check_table, run_checks
+    from gcs_coloc.study.plan_check import CHECK_PLANS, PlanCheck, check_table, run_checks
 
     names, workers = plans or list(CHECK_PLANS), workers_for(jobs, scheduler)
     for name in names:

@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 
 import typer
 
-from gcs_coloc.cli.main import LogLevel
+from gcs_coloc.cli.main import LogLevel, given, web_flags
 from gcs_coloc.config.settings import settings_of
 from gcs_coloc.core.errors import ConfigError, UsageError
 from gcs_coloc.runtime.checked_tables import read_toml
@@ -41,17 +41,9 @@ def watch(
     from gcs_coloc.service.watch import Watch
     from gcs_coloc.sinks.console import log_to_stderr, terminal_of
 
-    if web is not None and no_web:
-        raise UsageError("--web and --no-web exclude each other")
     table = read_toml(config, ConfigError) if config is not None else {}
     used: dict[str, Any] = {key: table[key] for key in _SECTIONS if key in table}
-    flags: dict[str, Any] = {}
-    if mqtt is not None:
-        flags["mqtt"] = _broker(mqtt)
-    if web is not None:
-        flags["web"] = {"on": True, "address": web}
-    elif no_web:
-        flags["web"] = {"on": False}
+    flags = given({"mqtt": _broker(mqtt) if mqtt is not None else None, "web": web_flags(web, no_web)})
     settings = settings_of([used], flags, str(config) if config is not None else "settings")
     if not settings.mqtt.host:
         raise UsageError("no broker: --mqtt HOST[:PORT], or a --config with host in [mqtt]")
@@ -70,4 +62,4 @@ def _broker(text: str) -> dict[str, Any]:
         host, port = None, None
     if host is None or port == 0 or any(mark in text for mark in "/?#@"):
         raise UsageError(f"--mqtt {text}: is not HOST or HOST:PORT, as broker.example:1883")
-    return {"host": host} | ({"port": port} if port is not None else {})
+    return given({"host": host, "port": port})

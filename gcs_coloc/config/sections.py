@@ -68,6 +68,11 @@ class MavlinkConfig(Section):
     component_id: int = Field(191, ge=1, le=255)
     """Our MAVLink component id; 191 is MAV_COMP_ID_ONBOARD_COMPUTER."""
 
+    @property
+    def own(self) -> tuple[int, int]:
+        """Both ids."""
+        return self.system_id, self.component_id
+
 
 SigningMode = Literal["require", "accept", "off"]
 

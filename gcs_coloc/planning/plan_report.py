@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from html import escape
 from typing import Any
 
@@ -16,7 +17,7 @@ from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.readiness.vehicle_readiness import IN_LINE_HDOP
 from gcs_coloc.planning.assessment import Assessment, Outlook, Stretch
 from gcs_coloc.planning.improvement import Improvement, no_improvement
-from gcs_coloc.recorder.reports.html_page import HEAD, Ink, PlotImage, image, in_both_inks, table
+from gcs_coloc.recorder.html_page import Ink, document, picture, table
 
 _MOST_PLOTS = 12
 """Chosen: of a large fleet the vehicles with the least of a fix are drawn."""
@@ -34,12 +35,9 @@ def page(assessed: Assessment, improvement: Improvement | None, *, is_improvemen
     """
     plan = assessed.plan
     title = f"Plan of {len(plan.vehicles)} vehicle{'s' if len(plan.vehicles) > 1 else ''}"
-    parts = [
-        HEAD,
-        f"<title>{title}</title></head><body><main><h1>{title}</h1>",
-        _answer(assessed, improvement, is_improvement_sought=is_improvement_sought),
-    ]
-    parts.append(image("Map of the ways, east over north; where a vehicle would have no fix in red", map_picture(assessed)))
+    parts = [_answer(assessed, improvement, is_improvement_sought=is_improvement_sought)]
+    alt = "Map of the ways, east over north; where a vehicle would have no fix in red"
+    parts.append(picture(alt, partial(_draw_map, assessed=assessed)))
     parts.append(f"<p>East and north of {_place(plan.frame)}, where the first plan begins.</p>")
     parts.append(
         "<h2>Each vehicle alone without GPS</h2>" + _outlooks("Each vehicle alone without GPS", assessed, assessed.singles)
@@ -54,7 +52,7 @@ def page(assessed: Assessment, improvement: Improvement | None, *, is_improvemen
         )
     parts.append("<h2>Assumed</h2>" + _assumptions(assessed))
     parts += ["<h2>Skipped and taken as</h2>", *(f"<p>{escape(line)}</p>" for line in plan.remarks)] if plan.remarks else []
-    return "\n".join([*parts, "</main></body></html>\n"])
+    return document(title, parts)
 
 
 def _answer(assessed: Assessment, improvement: Improvement | None, *, is_improvement_sought: bool) -> str:
@@ -131,7 +129,7 @@ def _vehicle(assessed: Assessment, each: Outlook) -> str:
     alt = f"Vehicle {sysid} over time: protection level and 95 % bound in m, HDOP, nodes ranged"
     if not len(each.predicted.at_s):
         return f"<h2>{title}</h2><p>It ends its way before its GPS could fail.</p>"
-    return f"<h2>{title}</h2>" + image(alt, vehicle_picture(assessed, each))
+    return f"<h2>{title}</h2>" + picture(alt, partial(_draw_vehicle, assessed=assessed, each=each), (9.0, 5.0))
 
 
 def _assumptions(assessed: Assessment) -> str:
@@ -149,12 +147,8 @@ def _assumptions(assessed: Assessment) -> str:
     return table("Assumed", ("", ""), rows)
 
 
-def map_picture(assessed: Assessment) -> PlotImage:
+def _draw_map(figure: Any, ink: Ink, *, assessed: Assessment) -> None:
     """Draw the ways of all vehicles, with the parts without a fix in another colour."""
-    return in_both_inks(lambda figure, ink: _draw_map(figure, ink, assessed))
-
-
-def _draw_map(figure: Any, ink: Ink, assessed: Assessment) -> None:
     axes = figure.subplots()
     for each in assessed.singles:
         p = each.predicted
@@ -178,15 +172,8 @@ def _draw_map(figure: Any, ink: Ink, assessed: Assessment) -> None:
     figure.legend(loc="outside upper center", ncols=2)
 
 
-def vehicle_picture(assessed: Assessment, each: Outlook) -> PlotImage:
-    """Draw one vehicle over time: protection level, 95 % bound, HDOP and nodes ranged.
-
-    The alert limit is drawn as well.
-    """
-    return in_both_inks(lambda figure, ink: _draw_vehicle(figure, ink, assessed, each), (9.0, 5.0))
-
-
-def _draw_vehicle(figure: Any, ink: Ink, assessed: Assessment, each: Outlook) -> None:
+def _draw_vehicle(figure: Any, ink: Ink, *, assessed: Assessment, each: Outlook) -> None:
+    """Draw one vehicle over time: protection level, 95 % bound, HDOP, nodes ranged, and the alert limit."""
     p, limit_m = each.predicted, assessed.plan.assumptions.alert_limit_m
     level, dilution = figure.subplots(2, 1, sharex=True)
     level.plot(p.at_s, np.minimum(p.hpl_m, 4.0 * limit_m), color=ink.grey, lw=1.2, label="protection level, m")

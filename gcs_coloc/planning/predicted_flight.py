@@ -12,6 +12,7 @@ from gcs_coloc.core.measurements import FloatArray, Vector3
 from gcs_coloc.core.readiness.vehicle_readiness import IN_LINE_HDOP
 
 _LEAST_RANGED = 2
+_NUMBERS = ("at_s", "hdop", "bound_95_m", "hpl_m", "offset_m", "ranged", "has_fix")
 _AFTER_S = 15.0
 """Chosen: what grew in bad geometry is corrected within so long once the geometry is good."""
 
@@ -76,21 +77,12 @@ class PredictedStep:
 
 def as_prediction(sysid: int, denied: tuple[int, ...], rows: Sequence[PredictedStep]) -> Prediction:
     """Return the steps of one vehicle as arrays."""
-
-    def column(name: str) -> FloatArray:
-        return np.array([getattr(row, name) for row in rows], dtype=float)
-
+    arrays = {name: np.array([getattr(row, name) for row in rows], dtype=float) for name in _NUMBERS}
     return Prediction(
         sysid=sysid,
         denied=denied,
-        at_s=column("at_s"),
         position_enu_m=np.array([row.position_enu_m for row in rows], dtype=float).reshape(-1, 3),
-        hdop=column("hdop"),
-        bound_95_m=column("bound_95_m"),
-        hpl_m=column("hpl_m"),
-        offset_m=column("offset_m"),
-        ranged=column("ranged"),
-        has_fix=column("has_fix"),
         limit=tuple(row.limit for row in rows),
         limit_code=tuple(row.limit_code for row in rows),
+        **arrays,
     )

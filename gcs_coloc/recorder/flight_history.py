@@ -84,7 +84,7 @@ def read_history(
     tap = MeasurementTap(load_estimator(settings.estimator.name, settings.estimator.settings))
     engine = Engine(tap, settings.engine())
     log, journal = TlogReader(file), Journal(engine)
-    points = read_truth(truth) if truth is not None else []
+    points = read_truth(truth)
     report = FlightReport(engine, points)
     tracks: dict[int, list[VehicleEntry]] = defaultdict(list)
     history = FlightHistory(file, engine.estimator.name, ReplayCounts(), report, log.counts, tracks)
@@ -109,9 +109,7 @@ def read_history(
             elif isinstance(entry, Notice):
                 history.notices.append(entry)
 
-    own = (settings.mavlink.system_id, settings.mavlink.component_id)
-    table_ranges = read_ranges(ranges) if ranges is not None else []
-    through = Replay(engine, log, table_ranges, on_poll, own, settings.fingerprint())
+    through = Replay(engine, log, read_ranges(ranges), on_poll, settings.mavlink.own, settings.fingerprint())
     history.counts = replay(through, report.observation_times(), report.observe)
     history.frame = engine.frame
     history.findings = tap.findings(points, engine.frame)

@@ -231,15 +231,9 @@ class Recorder:
                 return self._new_segment(1)
         return self._new_segment(1)
 
-    def _segment_name(self, number: int) -> str:
-        self._segment_count = number
-        return f"gcs-coloc-{self._name}-{number:03d}"
-
-    def _open_segment(self) -> LogSegment:
-        return self._new_segment(self._segment_count + 1)
-
     def _new_segment(self, number: int) -> LogSegment:
-        segment = LogSegment(self._directory, self._segment_name(number))
+        self._segment_count = number
+        segment = LogSegment(self._directory, f"gcs-coloc-{self._name}-{number:03d}")
         if self._keep_bytes is not None:
             with contextlib.suppress(OSError):  # a directory that cannot be read loses the limit, not the flight
                 delete_oldest(self._directory, self._keep_bytes - self._rotate_bytes)
@@ -247,7 +241,7 @@ class Recorder:
 
     def _try_to_open(self) -> None:
         try:
-            self._segment = self._open_segment()
+            self._segment = self._new_segment(self._segment_count + 1)
         except OSError as error:
             self._fail(error)
 

@@ -46,14 +46,16 @@ class TruthTable:
         return found
 
 
-def read_ranges(path: Path) -> list[PeerRange]:
-    """Return the ranges of a table, in order of time.
+def read_ranges(path: Path | None) -> list[PeerRange]:
+    """Return the ranges of a table, in order of time; none where there is no table.
 
     Its columns are `unix_s,from_sysid,to_sysid,range_m,sigma_m`. `unix_s` is the time of measurement; `sigma_m` may be left out.
 
     Raises:
         DataError: as `read_table`, or a value is impossible.
     """
+    if path is None:
+        return []
     ranges = []
     for row in read_table(path, ("unix_s", "from_sysid", "to_sysid", "range_m"), ("sigma_m",)):
         measured_at_s = row.number("unix_s")
@@ -82,12 +84,16 @@ def _range_m(row: TableRow) -> float:
     return range_m
 
 
-def read_truth(path: Path) -> list[TruthPoint]:
+def read_truth(path: Path | None) -> list[TruthPoint]:
     """The true positions of a table `unix_s,sysid,lat_deg,lon_deg,alt_msl_m` in order of time.
+
+    There are none where there is no table.
 
     Raises:
         DataError: as `read_table`, or the table is empty.
     """
+    if path is None:
+        return []
     points = [
         TruthPoint(
             unix_s=row.number("unix_s"),

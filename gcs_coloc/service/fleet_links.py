@@ -53,7 +53,7 @@ class FleetLinks:
 
         `utc_minus_service_s`: the host's UTC minus service time, s; None where the host does not know UTC.
         """
-        own, senders = (settings.mavlink.system_id, settings.mavlink.component_id), settings.senders
+        own, senders = settings.mavlink.own, settings.senders
         check_outs(settings.out, settings.links)
         self._routes = RouteTable(rebind_after_s=senders.rebind_after_s, companions_elsewhere=senders.companions_elsewhere)
         self.signed = SignedLinks(settings.signing, settings.links, settings.out)

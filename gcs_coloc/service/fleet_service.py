@@ -36,9 +36,8 @@ from gcs_coloc.mavlink.refusals import Counts, Refusals
 from gcs_coloc.recorder.flight_recording import FlightRecording
 from gcs_coloc.recorder.side_channel import FlownWith
 from gcs_coloc.runtime.clock import ServiceClock, Timer
-from gcs_coloc.service.alarm_desk import AlarmDesk
 from gcs_coloc.service.fleet_links import FleetLinks, LinkHooks
-from gcs_coloc.service.snapshot_cache import SnapshotCache
+from gcs_coloc.service.fleet_views import AlarmDesk, SnapshotCache
 from gcs_coloc.service.traffic import Backlog
 from gcs_coloc.sinks.event_bus import EventBus, IdleScheduler
 

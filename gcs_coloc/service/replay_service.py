@@ -6,7 +6,6 @@ It connects the recording, the pass that computes the page's pictures, and the p
 from __future__ import annotations
 
 import asyncio
-import signal
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,6 +17,7 @@ from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.recorder.replay import Replay
 from gcs_coloc.recorder.side_tables import TruthTable, read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
+from gcs_coloc.runtime.process import stop_on_signals
 from gcs_coloc.sinks.event_bus import IdleScheduler
 from gcs_coloc.web.pages import Pages
 from gcs_coloc.web.picture_store import PICTURE_PERIOD_S, PictureStore
@@ -40,13 +40,12 @@ class ReplayService:
             DataError: a file cannot be read or is not what it should be.
             EstimatorError: the estimator cannot be loaded.
         """
-        own = (settings.mavlink.system_id, settings.mavlink.component_id)
-        table_ranges = read_ranges(ranges) if ranges is not None else []
-        true_positions = TruthTable(read_truth(truth) if truth is not None else [])
+        table_ranges = read_ranges(ranges)
+        true_positions = TruthTable(read_truth(truth))
 
         def make_replay(on_poll: OnPoll) -> Replay:
             engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
-            return Replay(engine, TlogReader(file), table_ranges, on_poll, own, settings.fingerprint())
+            return Replay(engine, TlogReader(file), table_ranges, on_poll, settings.mavlink.own, settings.fingerprint())
 
         try:
             store = PictureStore(*TlogReader(file).span())
@@ -69,9 +68,7 @@ class ReplayService:
             DataError: the recording can no longer be read, or its pictures cannot be kept.
             WebError: the page's address is in use or cannot be listened on, or the page has failed.
         """
-        loop = asyncio.get_running_loop()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(number, self._web.stop)
+        stop_on_signals(self._web.stop)
         print(f"web page: {self._web.open()} (Ctrl-C ends)", flush=True)
         sys.setswitchinterval(_SWITCH_INTERVAL_S)
         computing = asyncio.create_task(asyncio.to_thread(self._pass.run))

@@ -84,8 +84,8 @@ def run_paper_study(options: PaperOptions, workers: Workers, progress: Progress,
     constant_R = constant_covariance(flight, options)
     seeds = [options.first_seed + i for i in range(options.seeds)]
     # The fleet's tasks are the longest: they come first, so that no core waits for one at the end.
-    tasks: list[_Task] = [_Task(None, seed) for seed in seeds[: options.fleet_seeds]]
-    tasks += [_Task(seeds[i : i + _SEEDS_PER_TASK], None) for i in range(0, len(seeds), _SEEDS_PER_TASK)]
+    tasks: list[int | list[int]] = [*seeds[: options.fleet_seeds]]
+    tasks += [seeds[i : i + _SEEDS_PER_TASK] for i in range(0, len(seeds), _SEEDS_PER_TASK)]
     results = run_tasks(partial(_run, flight, constant_R, options), tasks, workers, progress, kept)
     fleet = [one for one in results if isinstance(one, FilterSeries)]
     runs = [one for one in results if isinstance(one, PaperRun)]
@@ -102,10 +102,9 @@ def run_paper_study(options: PaperOptions, workers: Workers, progress: Progress,
         for i, kind in enumerate(KINDS)
         for j, q in enumerate(options.qs)
     ]
+    draws = [run.whole.count.shape[-1] for run in runs]
     series = {
-        kind: replace(
-            runs[0].series[kind], nees=np.average([run.series[kind].nees for run in runs], axis=0, weights=_draws(runs))
-        )
+        kind: replace(runs[0].series[kind], nees=np.average([run.series[kind].nees for run in runs], axis=0, weights=draws))
         for kind in KINDS
     }
     if fleet:
@@ -124,22 +123,11 @@ def run_paper_study(options: PaperOptions, workers: Workers, progress: Progress,
     return PaperStudy(options, flight, tuple(rows), series, runs[0].geometry, constant_R)
 
 
-@dataclass(frozen=True, slots=True)
-class _Task:
-    """Either some seeds of the paper's filters, or one of the fleet filter."""
-
-    paper_seeds: list[int] | None
-    fleet_seed: int | None
-
-
-def _run(flight: PaperFlight, constant_R: FloatArray, options: PaperOptions, task: _Task) -> PaperRun | FilterSeries:
-    if task.fleet_seed is not None:
-        return run_fleet(flight, task.fleet_seed, options)
-    return run_paper_filters(flight, task.paper_seeds or [], constant_R, options)
-
-
-def _draws(runs: list[PaperRun]) -> list[int]:
-    return [run.whole.count.shape[-1] for run in runs]
+def _run(flight: PaperFlight, constant_R: FloatArray, options: PaperOptions, seeds: int | list[int]) -> PaperRun | FilterSeries:
+    """Run the fleet filter for one seed, or the paper's filters for several."""
+    if isinstance(seeds, int):
+        return run_fleet(flight, seeds, options)
+    return run_paper_filters(flight, seeds, constant_R, options)
 
 
 def _joined(parts: list[Sums]) -> Sums:

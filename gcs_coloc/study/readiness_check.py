@@ -22,7 +22,7 @@ from gcs_coloc.core.measurements import Estimate, FloatArray
 from gcs_coloc.core.messages.control import GpsOverride, OperatorCommand
 from gcs_coloc.core.readiness.vehicle_readiness import HORIZON_S, ReadinessState, VehicleReadiness
 from gcs_coloc.estimators.registry import load_estimator
-from gcs_coloc.recorder.judging.judged_flight import find_recording
+from gcs_coloc.recorder.judged_flight import find_recording
 from gcs_coloc.recorder.replay import Replay
 from gcs_coloc.recorder.side_tables import read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
@@ -167,9 +167,8 @@ def _replay(path: Path, draw: int, from_s: float) -> Loss | None:
     """
     engine = Engine(load_estimator("fleet", {}), EngineSettings(request_streams=False))
     found = find_recording(path, path.name)
-    truth = read_truth(found.truth) if found.truth is not None else []
-    ranges = read_ranges(found.ranges) if found.ranges is not None else []
-    through = Replay(engine, TlogReader(path), ranges, lambda *_: None)
+    truth = read_truth(found.truth)
+    through = Replay(engine, TlogReader(path), read_ranges(found.ranges), lambda *_: None)
     begin_s = through.next_s
     if begin_s is None:
         return None

@@ -61,14 +61,14 @@ def run_checks(data: RecordedData) -> list[DataFinding]:
 
     The checks correct nothing: an estimator gets the data as they are.
     """
-    truth = list(_check_truth(data))
+    truth = list(join_vehicles(_truth_findings(data)))
     return [
         *_check_clocks(data),
         *truth,
         # A truth that contradicts the reports is no witness against the ranges.
         *check_ranges(data, trust_truth=not truth),
-        *_check_heights(data),
-        *_check_velocities(data),
+        *join_vehicles(_height_findings(data)),
+        *join_vehicles(_velocity_findings(data)),
         *_check_repeats(data),
     ]
 
@@ -122,12 +122,8 @@ def _check_repeats(data: RecordedData) -> Iterator[DataFinding]:
         yield finding(FindingKind.REPEATED_RANGES, count)
 
 
-def _check_truth(data: RecordedData) -> Iterator[DataFinding]:
-    """Yield how the truth differs from what vehicles report, where that is more than they state."""
-    return join_vehicles(_truth_findings(data))
-
-
 def _truth_findings(data: RecordedData) -> Iterator[tuple[str, DataFinding]]:
+    """Yield how the truth differs from what vehicles report, where that is more than they state."""
     for vehicle, truth in data.truth.items():
         reports = data.reports.get(vehicle)
         if reports is None or reports.is_static:
@@ -179,12 +175,8 @@ def _truth_explanations(
         yield Explanation(left_m, finding(FindingKind.TRUTH_OFFSET, float(np.linalg.norm(apart)), offset=vector))
 
 
-def _check_heights(data: RecordedData) -> Iterator[DataFinding]:
-    """Yield how reported heights differ from those of the positions, or of the truth where there are none."""
-    return join_vehicles(_height_findings(data))
-
-
 def _height_findings(data: RecordedData) -> Iterator[tuple[str, DataFinding]]:
+    """Yield how reported heights differ from those of the positions, or of the truth where there are none."""
     for vehicle, heights in data.heights.items():
         for tracks, of in ((data.reports, "positions"), (data.truth, "truth")):
             if vehicle not in tracks:
@@ -212,12 +204,8 @@ def _height_explanations(of: str, reported_m: FloatArray, up_m: FloatArray) -> I
     yield Explanation(median_residual_m(reported_m - offset_m - up_m), finding(FindingKind.HEIGHT_OFFSET, offset_m, of=of))
 
 
-def _check_velocities(data: RecordedData) -> Iterator[DataFinding]:
-    """Yield how velocities differ from the rate of change of the positions that come with them."""
-    return join_vehicles(_velocity_findings(data))
-
-
 def _velocity_findings(data: RecordedData) -> Iterator[tuple[str, DataFinding]]:
+    """Yield how velocities differ from the rate of change of the positions that come with them."""
     for vehicle, reports in data.reports.items():
         displacements = _displacements(reports)
         if displacements is None:

@@ -18,8 +18,7 @@ def write_all(history: FlightHistory, base: Path) -> list[Path]:
         OSError: a file cannot be written.
     """
     # Here, as the recorder needs another module of this package and none of what these bring.
-    from gcs_coloc.recorder.formats.geojson import write_geojson
-    from gcs_coloc.recorder.formats.kml import write_kml
+    from gcs_coloc.recorder.formats.maps import write_geojson, write_kml
 
     files = []
     for suffix, write in (("geojson", write_geojson), ("kml", write_kml)):

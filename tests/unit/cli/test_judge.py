@@ -10,8 +10,8 @@ from command_line import gcs_coloc
 from recorded_flight import write_flight
 from recordings import recording
 
-from gcs_coloc.recorder.judging import judge_run
-from gcs_coloc.recorder.judging.judged_flight import judge_flight
+from gcs_coloc.recorder import judge_run
+from gcs_coloc.recorder.judged_flight import judge_flight
 
 
 @pytest.fixture(scope="module")

@@ -8,15 +8,18 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from html import escape
 from statistics import median
 from typing import Any
 
+import numpy as np
+
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
 from gcs_coloc.recorder.flight_history import WITHOUT_GPS, FlightHistory
+from gcs_coloc.recorder.html_page import Ink, document, picture, table
 from gcs_coloc.recorder.journal import EVERY_S, VehicleEntry
-from gcs_coloc.recorder.reports.html_page import HEAD, Ink, PlotImage, image, in_both_inks, table
 
 _MAX_NOTICES = 500  # chosen: more than anyone reads
 
@@ -29,11 +32,12 @@ def page(history: FlightHistory) -> str:
     """
     results = history.report.as_dict()
     title = f"Flight {history.file.name}"
-    parts = [HEAD, f"<title>{escape(title)}</title></head><body><main><h1>{escape(title)}</h1>", _summary(history, results)]
-    picture = map_picture(history)
-    if picture is not None and history.frame is not None:
-        origin = f"{history.frame.lat_deg:.7f}, {history.frame.lon_deg:.7f}"
-        parts.append(image("Map of the tracks, east over north", picture))
+    parts = [_summary(history, results)]
+    located = {sysid: [e for e in track if e.vehicle.lat_deg is not None] for sysid, track in history.tracks.items()}
+    if (frame := history.frame) is not None and any(located.values()):
+        origin = f"{frame.lat_deg:.7f}, {frame.lon_deg:.7f}"
+        draw = partial(_draw_map, frame=frame, located=located)
+        parts.append(picture("Map of the tracks, east over north", draw))
         parts.append(f"<p>East and north of {origin}, where the fleet's first fix was, as on the live page's map.</p>")
     parts.append("<h2>GPS failures</h2>" + _readiness(history) + _health(history))
     for vehicle in results["vehicles"]:
@@ -44,7 +48,7 @@ def page(history: FlightHistory) -> str:
     parts.append(_counts("on the wire, frames not used", history.counts.wire))
     parts.append(_counts("by the estimator, with those used", results["estimator_counts"]))
     parts.append("<h2>Messages to the operator</h2>" + _notices(history))
-    return "\n".join([*parts, "</main></body></html>\n"])
+    return document(title, parts)
 
 
 def _summary(history: FlightHistory, results: Mapping[str, Any]) -> str:
@@ -110,7 +114,8 @@ def _vehicle(history: FlightHistory, vehicle: Mapping[str, Any], track: Sequence
     rows.extend((f"not located for {many * EVERY_S:.1f} s", first[code]) for code, many in times.most_common())
     alt = f"Vehicle {sysid} over time: bound and sigma, HDOP and ranges in use, NIS"
     title = f"Vehicle {sysid} without its GPS"
-    return f"<h2>{title}</h2>" + table(title, ("", ""), rows) + image(alt, vehicle_picture(history, track))
+    draw = partial(_draw_vehicle, history=history, track=track)
+    return f"<h2>{title}</h2>" + table(title, ("", ""), rows) + picture(alt, draw)
 
 
 def _score(score: Mapping[str, Any] | None) -> list[tuple[str, str]]:
@@ -150,36 +155,16 @@ def _spaced(reason: str) -> str:
 _NIS_TICKS = (0.0, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 1e3, 1e4, 1e5, 1e6)
 
 
-def map_picture(history: FlightHistory) -> PlotImage | None:
-    """Draw the tracks in the fleet's frame; None where no vehicle was located.
-
-    Those without GPS have another colour.
-    """
-    located = {sysid: [e for e in track if e.vehicle.lat_deg is not None] for sysid, track in history.tracks.items()}
-    frame = history.frame
-    if frame is None or not any(located.values()):
-        return None
-    return in_both_inks(lambda figure, ink: _draw_map(figure, ink, frame, located))
-
-
-def vehicle_picture(history: FlightHistory, track: Sequence[VehicleEntry]) -> PlotImage:
-    """Draw one vehicle over time: its bounds, HDOP, ranges in use and NIS.
-
-    The bounds are the protection level, the 95 % bound and one sigma. The NIS has its 95 % band. Times without GPS are shaded.
-    """
-    return in_both_inks(lambda figure, ink: _draw_vehicle(figure, ink, history, track))
-
-
-def _draw_map(figure: Any, ink: Ink, frame: LocalFrame, located: Mapping[int, Sequence[VehicleEntry]]) -> None:
+def _draw_map(figure: Any, ink: Ink, *, frame: LocalFrame, located: Mapping[int, Sequence[VehicleEntry]]) -> None:
+    """Draw the tracks in the fleet's frame; those without GPS have another colour."""
     axes = figure.subplots()
     for sysid, track in sorted(located.items()):
         if not track:
             continue
-        points = [_place(frame, entry) for entry in track]
-        lost = [entry.vehicle.gps_state in WITHOUT_GPS for entry in track]
-        east, north = [p[0] for p in points], [p[1] for p in points]
-        axes.plot(east, north, color=ink.blue, lw=1)
-        axes.plot(*_only(east, north, lost), color=ink.red, lw=2)
+        points = np.array([_place(frame, entry) for entry in track])
+        lost = np.array([[entry.vehicle.gps_state in WITHOUT_GPS] for entry in track])
+        axes.plot(*points.T, color=ink.blue, lw=1)
+        axes.plot(*np.where(lost, points, np.nan).T, color=ink.red, lw=2)
         axes.annotate(f" {sysid}", points[-1])
     axes.plot([], [], color=ink.blue, lw=1, label="with GPS")
     axes.plot([], [], color=ink.red, lw=2, label="without GPS: from ranges")
@@ -188,7 +173,11 @@ def _draw_map(figure: Any, ink: Ink, frame: LocalFrame, located: Mapping[int, Se
     figure.legend(loc="outside upper center", ncols=2)
 
 
-def _draw_vehicle(figure: Any, ink: Ink, history: FlightHistory, track: Sequence[VehicleEntry]) -> None:
+def _draw_vehicle(figure: Any, ink: Ink, *, history: FlightHistory, track: Sequence[VehicleEntry]) -> None:
+    """Draw one vehicle over time: its bounds, HDOP, ranges in use and NIS.
+
+    The bounds are the protection level, the 95 % bound and one sigma. The NIS has its 95 % band. Times without GPS are shaded.
+    """
     from matplotlib import ticker
 
     start_s = history.counts.first_s
@@ -207,27 +196,13 @@ def _draw_vehicle(figure: Any, ink: Ink, history: FlightHistory, track: Sequence
     nis.set(xlabel="s since the first frame", yscale="symlog")
     nis.yaxis.set_major_locator(ticker.FixedLocator(_NIS_TICKS))
     nis.yaxis.set_major_formatter(ticker.StrMethodFormatter("{x:g}"))
+    lost = [v.gps_state in WITHOUT_GPS for v in views]
     for axes in (bound, hdop, nis):
-        for begin_s, end_s in _spans(t, [v.gps_state in WITHOUT_GPS for v in views]):
-            axes.axvspan(begin_s, end_s, color=ink.red, alpha=0.08, lw=0)
+        axes.fill_between(t, 0.0, 1.0, where=lost, color=ink.red, alpha=0.08, lw=0, transform=axes.get_xaxis_transform())
         axes.set_xlim(0.0, max(history.counts.last_s - start_s, 1e-3))
         axes.set_ylim(bottom=0.0)
         axes.grid(alpha=0.3)
         axes.legend(loc="upper left")
-
-
-def _spans(t: Sequence[float], flags: Sequence[bool]) -> list[tuple[float, float]]:
-    spans: list[tuple[float, float]] = []
-    begin_s: float | None = None
-    for at_s, flag in zip(t, flags, strict=True):
-        if flag and begin_s is None:
-            begin_s = at_s
-        elif not flag and begin_s is not None:
-            spans.append((begin_s, at_s))
-            begin_s = None
-    if begin_s is not None:
-        spans.append((begin_s, t[-1]))
-    return spans
 
 
 def _place(frame: LocalFrame, entry: VehicleEntry) -> tuple[float, float]:
@@ -236,11 +211,6 @@ def _place(frame: LocalFrame, entry: VehicleEntry) -> tuple[float, float]:
     assert v.lon_deg is not None
     assert v.alt_msl_m is not None
     return frame.enu_from_geodetic(v.lat_deg, v.lon_deg, v.alt_msl_m)[:2]
-
-
-def _only(x: list[float], y: list[float], flags: list[bool]) -> tuple[list[float], list[float]]:
-    nan = float("nan")
-    return [a if f else nan for a, f in zip(x, flags, strict=True)], [b if f else nan for b, f in zip(y, flags, strict=True)]
 
 
 def _or_nan(value: float | None) -> float:

@@ -14,7 +14,7 @@ from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.decoder import SequenceTracker
 from gcs_coloc.mavlink.refusals import Counts, Refusal, Refusals
 from gcs_coloc.recorder.flight_recording import FlightRecording
-from gcs_coloc.service.snapshot_cache import SnapshotCache
+from gcs_coloc.service.fleet_views import SnapshotCache
 
 
 class HandMoved:

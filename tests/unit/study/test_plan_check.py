@@ -8,9 +8,8 @@ from typer.testing import CliRunner
 
 from gcs_coloc.cli.main import app
 from gcs_coloc.planning.prediction import predict
-from gcs_coloc.study.planning.check_plans import CHECK_PLANS
-from gcs_coloc.study.planning.drawn_flight import DrawnFlight, fly_plan
-from gcs_coloc.study.planning.plan_check import compare
+from gcs_coloc.study.drawn_flight import DrawnFlight, fly_plan
+from gcs_coloc.study.plan_check import CHECK_PLANS, compare
 
 
 @pytest.fixture(scope="module")

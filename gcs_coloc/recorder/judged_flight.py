@@ -134,9 +134,8 @@ class JudgedBy:
     @classmethod
     def of(cls, settings: Settings) -> JudgedBy:
         """Take it from the settings of a fleet."""
-        own = (settings.mavlink.system_id, settings.mavlink.component_id)
         name, estimator_settings = settings.estimator.name, dict(settings.estimator.settings)
-        return cls(name, estimator_settings, settings.engine(), own, settings.fingerprint())
+        return cls(name, estimator_settings, settings.engine(), settings.mavlink.own, settings.fingerprint())
 
 
 def judge_flight(by: JudgedBy, recording: FoundRecording) -> JudgedFlight:
@@ -155,14 +154,15 @@ class _Judgement:
     def __init__(self, by: JudgedBy, recording: FoundRecording) -> None:
         self._recording = recording
         self._engine = Engine(load_estimator(by.estimator, by.estimator_settings), by.engine)
-        self._report = FlightReport(self._engine, read_truth(recording.truth) if recording.truth is not None else [])
-        ranges = read_ranges(recording.ranges) if recording.ranges is not None else []
+        self._report = FlightReport(self._engine, read_truth(recording.truth))
         self._alarms = AlarmList()
         self._raised: set[tuple[int, int]] = set()
         self._alarm_counts: dict[str, Counter[str]] = defaultdict(Counter)
         self._looks: dict[int, list[VehicleSnapshot]] = defaultdict(list)
         self._due_s = float("-inf")
-        self._through = Replay(self._engine, TlogReader(recording.file), ranges, self._on_poll, by.own, by.fingerprint)
+        self._through = Replay(
+            self._engine, TlogReader(recording.file), read_ranges(recording.ranges), self._on_poll, by.own, by.fingerprint
+        )
 
     def run(self) -> JudgedFlight:
         counts = replay(self._through, self._report.observation_times(), self._report.observe)

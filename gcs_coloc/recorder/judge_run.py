@@ -16,7 +16,7 @@ import gcs_coloc
 from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.errors import DataError
 from gcs_coloc.estimators.registry import plug_in_digest
-from gcs_coloc.recorder.judging.judged_flight import FoundRecording, JudgedBy, JudgedFlight, judge_flight
+from gcs_coloc.recorder.judged_flight import FoundRecording, JudgedBy, JudgedFlight, judge_flight
 from gcs_coloc.runtime.output_files import writing
 from gcs_coloc.runtime.program import program_digest
 from gcs_coloc.runtime.tasks import Workers, iterate_tasks

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from gcs_coloc.core.errors import DataError, UsageError
-from gcs_coloc.recorder.judging.judged_flight import find_recordings
+from gcs_coloc.recorder.judged_flight import find_recordings
 
 
 def make(directory: Path, *names: str) -> Path:

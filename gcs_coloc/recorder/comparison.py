@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from gcs_coloc.core.alarms.alarms import AlarmKind
-from gcs_coloc.recorder.judging.judged_flight import Figures, JudgedFlight
+from gcs_coloc.recorder.judged_flight import Figures, JudgedFlight
 
 
 class Aspect(StrEnum):

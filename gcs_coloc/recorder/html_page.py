@@ -13,8 +13,9 @@ from html import escape
 from typing import Any
 
 from gcs_coloc.core.errors import UsageError
+from gcs_coloc.runtime.output_files import new_figure
 
-HEAD = """<!doctype html>
+_HEAD = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8">
 <meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
 <meta name="viewport" content="width=device-width, initial-scale=1">
@@ -33,14 +34,6 @@ img { max-width: 100% }
 .bad { color: var(--bad); font-weight: 600 }
 </style>
 """
-
-
-@dataclass(frozen=True, slots=True)
-class PlotImage:
-    """One picture as two data URLs."""
-
-    light: str
-    dark: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,10 +62,10 @@ _DARK = Ink(
 )
 
 
-def image(alt: str, picture: PlotImage) -> str:
-    """One picture, the dark one where the reader prefers dark pages."""
-    dark = f'<source media="(prefers-color-scheme: dark)" srcset="{picture.dark}">'
-    return f'<picture>{dark}<img alt="{alt}" src="{picture.light}"></picture>'
+def document(title: str, parts: Iterable[str]) -> str:
+    """One page: its title, which is its heading, too, and its parts."""
+    begin = f"<title>{escape(title)}</title></head><body><main><h1>{escape(title)}</h1>"
+    return "\n".join([_HEAD, begin, *parts, "</main></body></html>\n"])
 
 
 def table(name: str, heads: Sequence[str], rows: Iterable[Sequence[str]], numbers: Sequence[int] = ()) -> str:
@@ -88,26 +81,25 @@ def table(name: str, heads: Sequence[str], rows: Iterable[Sequence[str]], number
     return f'<div class="scroll" tabindex="0" role="group" aria-label="{escape(name)}">{table}</div>'
 
 
-def in_both_inks(draw: Callable[[Any, Ink], None], size: tuple[float, float] = (9.0, 7.0)) -> PlotImage:
-    """Draw a picture of a size in inches in both inks.
+def picture(alt: str, draw: Callable[[Any, Ink], None], size: tuple[float, float] = (9.0, 7.0)) -> str:
+    """Draw a picture of a size in inches in both inks; the dark one is for readers who prefer dark pages.
 
     Raises:
         UsageError: matplotlib is not installed.
     """
-    return PlotImage(*(_picture(draw, ink, size) for ink in (_LIGHT, _DARK)))
+    light, dark = (_png(draw, ink, size) for ink in (_LIGHT, _DARK))
+    source = f'<source media="(prefers-color-scheme: dark)" srcset="{dark}">'
+    return f'<picture>{source}<img alt="{alt}" src="{light}"></picture>'
 
 
-def _picture(draw: Callable[[Any, Ink], None], ink: Ink, size: tuple[float, float]) -> str:
+def _png(draw: Callable[[Any, Ink], None], ink: Ink, size: tuple[float, float]) -> str:
     try:
         from matplotlib import rc_context
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
     except ImportError as error:
         raise UsageError('the report\'s pictures need matplotlib: pip install "gcs-coloc[plots]"') from error
     buffer = io.BytesIO()
     with rc_context(dict(ink.surroundings)):
-        figure = Figure(figsize=size, layout="constrained")
-        FigureCanvasAgg(figure)
+        figure = new_figure(size)
         draw(figure, ink)
         figure.savefig(buffer, format="png", dpi=100)
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")

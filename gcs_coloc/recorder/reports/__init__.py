@@ -1,1 +1,0 @@
-"""What a flight came to, as one HTML page with plots."""
