@@ -284,7 +284,7 @@ def load_scenario(path: str | Path) -> Scenario:
         raise ScenarioError(f"{path}: no such file, and no scenario of that name; see sitl-fakes --list") from error
     except OSError as error:
         raise ScenarioError(f"{path}: cannot be read: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # no TOML, no UTF-8, or a number of thousands of digits
         raise ScenarioError(f"{path}: not valid TOML: {error}") from error
     try:
         return Scenario.model_validate(table)

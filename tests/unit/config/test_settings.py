@@ -86,6 +86,8 @@ def test_flags_win_over_the_environment_which_wins_over_the_file(tmp_path, monke
         ("aiding = 1", "aiding: must be a table of settings, [aiding]"),
         ("web = 1", "web: must be a table of settings, [web]"),
         ("links = [", "is not valid TOML"),
+        (f"[mqtt]\nport = {'9' * 5000}", "is not valid TOML: a number is too long"),
+        (f"links = {'[' * 3000}", "is not valid TOML: a number is too long, or tables are nested too deep"),
     ],
 )
 def test_errors_name_file_key_and_remedy_in_one_line(tmp_path, text, words):

@@ -66,6 +66,8 @@ def test_in_the_scenario_with_two_failed_each_ranges_to_the_other():
         (GOOD + '[[fault]]\nkind = "gps_lost"\nvehicle = 1\nat_s = 5\nuntil_s = 2\n', "until_s must be later"),
         (GOOD + '[[fault]]\nkind = "reboot"\nvehicle = 1\nat_s = 5\nuntil_s = 9\n', "takes no until_s"),
         ("name = ", "not valid TOML"),
+        (f"duration_s = {'9' * 5000}", "not valid TOML"),
+        (f"name = {'[' * 3000}", "not valid TOML"),
         ("", "name"),
     ],
 )
