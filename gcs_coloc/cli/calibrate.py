@@ -15,7 +15,7 @@ from gcs_coloc.core.errors import DataError, UsageError
 from gcs_coloc.core.stations.node_id import is_station, station_id_of
 from gcs_coloc.evaluation.calibration import Calibration
 from gcs_coloc.evaluation.calibration import calibrate as calibrate_devices
-from gcs_coloc.runtime.output_files import check_output_file, writing
+from gcs_coloc.runtime.output_files import check_output_file, new_table, writing
 
 
 def calibrate(
@@ -63,9 +63,8 @@ def calibrate(
 
 
 def _devices(found: Calibration, names: Mapping[int, str]) -> Table:
-    table = Table(title="Devices: what is added to the distance")
-    for place, heading in enumerate(("device", "bias m", "1-sigma", "scale", "1-sigma", "ranges")):
-        table.add_column(heading, justify="right" if place else "left")
+    headings = ("device", "bias m", "1-sigma", "scale", "1-sigma", "ranges")
+    table = new_table(*headings, left=("device",), title="Devices: what is added to the distance")
     for d in found.devices:
         numbers = (f"{d.bias_m:+.3f}", f"{d.bias_sigma_m:.3f}", f"{d.scale:+.5f}", f"{d.scale_sigma:.5f}", str(d.ranges))
         table.add_row(names[d.vehicle], *numbers)
@@ -73,9 +72,8 @@ def _devices(found: Calibration, names: Mapping[int, str]) -> Table:
 
 
 def _pairs(found: Calibration, names: Mapping[int, str]) -> Table:
-    table = Table(title="Pairs: median residual, m")
-    for place, heading in enumerate(("pair", "ranges", "before", "after", "scatter")):
-        table.add_column(heading, justify="right" if place else "left")
+    headings = ("pair", "ranges", "before", "after", "scatter")
+    table = new_table(*headings, left=("pair",), title="Pairs: median residual, m")
     for p in found.pairs:
         pair = "-".join(names[end] for end in p.ends)
         table.add_row(pair, str(p.ranges), f"{p.before_m:+.3f}", f"{p.after_m:+.3f}", f"{p.rms_m:.3f}")

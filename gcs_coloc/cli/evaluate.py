@@ -32,7 +32,7 @@ from gcs_coloc.estimators.registry import load_estimator, plug_in_digest
 from gcs_coloc.evaluation.evaluate import Evaluation
 from gcs_coloc.evaluation.evaluate import Progress as EvaluationProgress
 from gcs_coloc.evaluation.evaluate import evaluate as run_evaluation
-from gcs_coloc.runtime.output_files import check_output_file, writing
+from gcs_coloc.runtime.output_files import check_output_file, new_table, writing
 from gcs_coloc.runtime.tasks import run_tasks
 
 _MOST_NAMED = 3  # chosen: one line of a terminal
@@ -158,11 +158,8 @@ def _digest(directory: Path) -> str:
 
 
 def _table(evaluations: Sequence[Evaluation]) -> Table:
-    table = Table()
-    errors = ("RMSE m", "median", "95 %", "most", "3D RMSE")
-    headings = ("data set", "node", "answered", "first s", *errors, "covered", "> 3 b", "ANEES")
-    for place, heading in enumerate(headings):
-        table.add_column(heading, justify="right" if place > 1 else "left")
+    errors = ("RMSE m", "median", "95 %", "most", "3D RMSE", "covered", "> 3 b", "ANEES")
+    table = new_table("data set", "node", "answered", "first s", *errors, left=("data set", "node"))
     for evaluation in evaluations:
         for vehicle in evaluation.denied:
             s = vehicle.score

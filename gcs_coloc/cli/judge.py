@@ -15,11 +15,20 @@ from rich.table import Table
 
 from gcs_coloc.cli.recordings import EstimatorOption, FleetOption, settings_for
 from gcs_coloc.cli.task_options import JobsOption, SchedulerOption, progress_of, result_console, workers_for
-from gcs_coloc.recorder.comparison import FIGURES, Aspect, ChangeOutcome, FigureChange, Tolerance, compare
-from gcs_coloc.recorder.judge_run import judge as judge_all
-from gcs_coloc.recorder.judge_run import judged_with, read_baseline, write_baseline
 from gcs_coloc.recorder.judged_flight import JudgedFlight, find_recordings
-from gcs_coloc.runtime.output_files import check_output_file, make_output_directory
+from gcs_coloc.recorder.judging import (
+    FIGURES,
+    Aspect,
+    ChangeOutcome,
+    FigureChange,
+    Tolerance,
+    compare,
+    judged_with,
+    read_baseline,
+    write_baseline,
+)
+from gcs_coloc.recorder.judging import judge as judge_all
+from gcs_coloc.runtime.output_files import check_output_file, make_output_directory, new_table
 
 _WORSE = 3
 _TOLERANCE = Tolerance()
@@ -99,9 +108,7 @@ def _figures_table(flights: Sequence[JudgedFlight]) -> Table:
 
     A recording without such a vehicle has one row.
     """
-    table = Table()
-    for heading in ("recording", "vehicle", *_HEADINGS, "alarms"):
-        table.add_column(heading, justify="left" if heading in ("recording", "alarms") else "right")
+    table = new_table("recording", "vehicle", *_HEADINGS, "alarms", left=("recording", "alarms"))
     for flight in flights:
         rows = [(vehicle, its) for vehicle, its in flight.vehicles.items() if its.get("without_gps_s") or _alarms(its)]
         for vehicle, its in rows or [("-", {})]:

@@ -29,7 +29,7 @@ from gcs_coloc.planning.fleet_plan import FleetPlan
 from gcs_coloc.planning.improvement import find_improvement, no_improvement
 from gcs_coloc.planning.load import load_plan
 from gcs_coloc.planning.mission import LEAST_SPEED_MPS, MOST_SPEED_MPS, ListedStation, PerVehicle
-from gcs_coloc.runtime.output_files import check_output_file, writing
+from gcs_coloc.runtime.output_files import check_output_file, new_table, writing
 
 _FILE_WIDTH = 160  # of a table that goes to a file or pipe
 _NOT_ENOUGH = 3
@@ -147,9 +147,8 @@ def plan(
 
 
 def _table(fleet: FleetPlan, assessed: Assessment) -> Table:
-    table = Table()
-    for heading in ("without GPS", "vehicle", "with a fix", "cannot tell", "95 % m", "HPL m", "worst stretch", "cause"):
-        table.add_column(heading, justify="left" if heading in ("cause", "without GPS") else "right")
+    headings = ("without GPS", "vehicle", "with a fix", "cannot tell", "95 % m", "HPL m", "worst stretch", "cause")
+    table = new_table(*headings, left=("cause", "without GPS"))
     for each in (*assessed.singles, *assessed.pairs):
         p, worst = each.predicted, each.worst
         when = f"{worst.from_s:.0f} to {worst.until_s:.0f} s" if worst is not None else "-"

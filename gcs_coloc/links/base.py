@@ -32,12 +32,10 @@ class Link(Protocol):
     @property
     def name(self) -> str:
         """Its connection string."""
-        ...
 
     @property
     def counts(self) -> Counts:
         """What could not be received or sent, by reason."""
-        ...
 
     @property
     def peers(self) -> tuple[Address, ...]:
@@ -45,7 +43,6 @@ class Link(Protocol):
 
         A vehicle may wait for our first frame. Empty where the link can only wait for the vehicles.
         """
-        ...
 
     @property
     def is_late(self) -> bool:
@@ -53,15 +50,12 @@ class Link(Protocol):
 
         Datagrams wait in the system while the event loop is held up.
         """
-        ...
 
     async def open(self) -> None:
         """Start to receive. Raises LinkError, in words for the operator, where the link cannot be opened."""
-        ...
 
     def receive_waiting(self, most: int) -> None:
         """Deliver up to `most` of what the system has received already, where the link has to fetch it."""
-        ...
 
     def send(self, address: Address, payload: bytes, *, forwarded: bool = False) -> None:
         """Send whole frames to an address that was heard from.
@@ -69,11 +63,9 @@ class Link(Protocol):
         Never blocks and never raises: what is not sent is counted.
         Payloads that are `forwarded` for others wait behind those that are not, where the link is slow.
         """
-        ...
 
     async def close(self) -> None:
         """Stop, and give back sockets and devices. Closing a link that is not open does nothing."""
-        ...
 
 
 DatagramHandler = Callable[[Link, Address, bytes, float], None]

@@ -20,17 +20,14 @@ class SigningSettings(Protocol):
     @property
     def key_file(self) -> str:
         """The file of the secret key; empty: no signing."""
-        ...
 
     @property
     def mode(self) -> str:
         """Of every link that is not in `links`: require, accept, off."""
-        ...
 
     @property
     def links(self) -> Mapping[str, str]:
         """The mode of single links, by connection string."""
-        ...
 
 
 class SignedLinks:

@@ -1,16 +1,19 @@
-"""Checks of the output paths of results, made before the work.
+"""Outputs of commands: their paths, checked before the work, and figures and tables.
 
 A wrong path is then reported at once and not after minutes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gcs_coloc.core.errors import UsageError
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 
 def check_output_file(path: Path | None, option: str) -> None:
@@ -54,6 +57,13 @@ def make_output_directory(path: Path, option: str) -> None:
         raise UsageError(f"{option} {path}: cannot be written to: it is a file; state a directory") from None
     except OSError as error:
         raise UsageError(f"{option} {path}: cannot be written to: {error.strerror}") from None
+
+
+def new_table(*headings: str, left: Collection[str] = (), title: str | None = None) -> Table:
+    """Return an empty table for the console; its columns are right-aligned but those of `left`."""
+    from rich.table import Column, Table  # here: a service needs none
+
+    return Table(*(Column(heading, justify="left" if heading in left else "right") for heading in headings), title=title)
 
 
 def new_figure(size: tuple[float, float]) -> Any:

@@ -21,15 +21,12 @@ class Pool(Protocol):
 
     def capacity(self) -> int:
         """Return how many tasks may be submitted and not done; it may change."""
-        ...
 
     def submit(self, function: Callable[[Task], Result], task: Task) -> Future[Result]:
         """Have a task done. Raises BrokenExecutor where the pool has to be restarted."""
-        ...
 
     def restart(self) -> None:
         """Begin anew after a future ended with BrokenExecutor."""
-        ...
 
 
 class ProcessPool:

@@ -173,7 +173,10 @@ class MqttInbox:
 
     def receive(self, topic: str, payload: bytes, *, retained: bool) -> None:
         """Apply one message, or count why it is refused. Never raises for its content."""
-        refusal = self._apply(topic, payload, retained)
+        try:
+            refusal = self._apply(topic, payload, retained)
+        except ValidationError:
+            refusal = MqttRefusal.RANGE_INVALID if topic.endswith("/range") else MqttRefusal.COMMAND_INVALID
         if refusal is not None:
             self._counts.add(refusal)
 
@@ -194,28 +197,19 @@ class MqttInbox:
         return self._apply_command(sysid, payload) if is_command else self._add_range(sysid, payload)
 
     def _apply_command(self, sysid: int, payload: bytes) -> MqttRefusal | None:
-        try:
-            command = Command.model_validate_json(payload)
-        except ValidationError:
-            return MqttRefusal.COMMAND_INVALID
+        command = Command.model_validate_json(payload)
         if self._hooks.command_refusal() is not None:
             return MqttRefusal.COMMAND_TO_STANDBY
         self._hooks.apply_command(sysid, command.override())
         return None
 
     def _order(self, payload: bytes) -> MqttRefusal | None:
-        try:
-            command = StandbyCommand.model_validate_json(payload)
-        except ValidationError:
-            return MqttRefusal.COMMAND_INVALID
+        command = StandbyCommand.model_validate_json(payload)
         order = self._hooks.order_standby
         return MqttRefusal.ORDER_REFUSED if order is None or order(command.order) is not None else None
 
     def _add_range(self, sysid: int, payload: bytes) -> MqttRefusal | None:
-        try:
-            measured = Range.model_validate_json(payload)
-        except ValidationError:
-            return MqttRefusal.RANGE_INVALID
+        measured = Range.model_validate_json(payload)
         if measured.peer == sysid:
             return MqttRefusal.RANGE_TO_ITSELF
         self._hooks.add_range(measured.message(sysid, self._hooks.clock()))

@@ -13,7 +13,7 @@ import numpy as np
 from rich.table import Table
 
 from gcs_coloc import __version__
-from gcs_coloc.runtime.output_files import make_output_directory, new_figure, save_figure, writing
+from gcs_coloc.runtime.output_files import make_output_directory, new_figure, new_table, save_figure, writing
 from gcs_coloc.study.paper import FLEET, FilterScore, PaperStudy, Row
 
 TITLES = {
@@ -62,9 +62,8 @@ def write(study: PaperStudy, out_dir: Path) -> list[Path]:
 
 
 def _table_2(study: PaperStudy, title: str, *, whole: bool) -> Table:
-    table = Table(title=title)
-    for heading in ("q", "general KF, published", "proposed, published", *(TITLES[kind] for kind in _kinds(study))):
-        table.add_column(heading, justify="right")
+    of_filters = (TITLES[kind] for kind in _kinds(study))
+    table = new_table("q", "general KF, published", "proposed, published", *of_filters, title=title)
     for q in study.options.qs:
         cells = {row.filter: row for row in study.rows if row.q in (q, None)}
         printed = [_number(cells[kind].published_variance_m2) for kind in ("general", "published")]
@@ -75,10 +74,9 @@ def _table_2(study: PaperStudy, title: str, *, whole: bool) -> Table:
 
 def _scores(study: PaperStudy) -> Table:
     first_s = study.options.first_part_s
-    table = Table(title="RMSE and honesty (mean NEES of two coordinates: 2 is honest, more is overconfident)")
-    table.add_column("filter")
-    for heading in ("q", "draws", "RMSE, m", "largest, m", "NEES", f"RMSE to {first_s:g} s, m", f"NEES to {first_s:g} s"):
-        table.add_column(heading, justify="right")
+    title = "RMSE and honesty (mean NEES of two coordinates: 2 is honest, more is overconfident)"
+    headings = ("filter", "q", "draws", "RMSE, m", "largest, m", "NEES", f"RMSE to {first_s:g} s, m", f"NEES to {first_s:g} s")
+    table = new_table(*headings, left=("filter",), title=title)
     for row in study.rows:
         whole, first = row.whole, row.first
         numbers = (whole.rmse_m, whole.largest_m, whole.anees, first.rmse_m, first.anees)

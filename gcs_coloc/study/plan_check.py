@@ -21,6 +21,7 @@ from gcs_coloc.planning.flight_path import Leg
 from gcs_coloc.planning.load import load_plan
 from gcs_coloc.planning.predicted_flight import Prediction
 from gcs_coloc.planning.prediction import predict
+from gcs_coloc.runtime.output_files import new_table
 from gcs_coloc.runtime.tasks import KeptResults, Progress, Workers, run_tasks
 from gcs_coloc.study.drawn_flight import DrawnFlight, fly_plan
 from sitl_fakes.scenario import SCENARIOS
@@ -59,68 +60,37 @@ def _fleet(*vehicles: PlannedVehicle, stations: _Points = (), **assumed: float |
     return FleetPlan(_FRAME, vehicles, placed, PlanAssumptions(**assumed))  # type: ignore[arg-type]
 
 
-def _around() -> CheckedPlan:
-    boxes = [_vehicle(k, _box(900.0 * (k % 2), 900.0 * (k // 2), 500.0)) for k in range(1, 5)]
-    return CheckedPlan("four planes, each on a square of its own", 1, _fleet(*boxes))
+def _boxes(apart_m: float, size_m: float, speed_mps: float = 20.0) -> list[PlannedVehicle]:
+    return [_vehicle(k, _box(apart_m * (k % 2), apart_m * (k // 2), size_m), speed_mps) for k in range(1, 5)]
 
 
-def _abreast() -> CheckedPlan:
-    lanes = [_vehicle(k, [(250.0 * k, 0.0), (250.0 * k, 2500.0)]) for k in range(1, 5)]
-    return CheckedPlan("four planes abreast, to and fro", 1, _fleet(*lanes))
+def _lanes(east_m: float, north_m: float) -> list[PlannedVehicle]:
+    return [_vehicle(k, [(east_m * k, north_m * k), (east_m * k, north_m * k + 2500.0)]) for k in range(1, 5)]
 
 
-def _column() -> CheckedPlan:
-    lanes = [_vehicle(k, [(20.0 * k, 300.0 * k), (20.0 * k, 300.0 * k + 2500.0)]) for k in range(1, 5)]
-    return CheckedPlan("four planes in a column", 1, _fleet(*lanes))
+def _rings(apart_m: float, radius_m: float, count: int, speed_mps: float, kind: VehicleClass) -> list[PlannedVehicle]:
+    rings = [_ring(apart_m * (k % 2), apart_m * (k // 2), radius_m, k) for k in range(1, count + 1)]
+    return [_vehicle(k, ring, speed_mps, kind) for k, ring in enumerate(rings, start=1)]
 
 
-def _far() -> CheckedPlan:
-    rings = [_vehicle(k, _ring(3500.0 * (k % 2), 3500.0 * (k // 2), 400.0, k)) for k in range(1, 5)]
-    return CheckedPlan("four planes far apart", 2, _fleet(*rings))
-
-
-def _two_peers() -> CheckedPlan:
-    return CheckedPlan(
-        "two peers alone", 1, _fleet(*(_vehicle(k, _ring(700.0 * k, 300.0 * (k % 2), 350.0, 2.0 * k)) for k in range(1, 4)))
-    )
-
-
-def _without_air_data() -> CheckedPlan:
-    boxes = [_vehicle(k, _box(900.0 * (k % 2), 900.0 * (k // 2), 500.0)) for k in range(1, 5)]
-    return CheckedPlan("planes that send no airspeed", 1, _fleet(*boxes, has_air_data=False))
-
-
-def _copters() -> CheckedPlan:
-    kind = VehicleClass.MULTIROTOR
-    rings = [_vehicle(k, _ring(250.0 * (k % 2), 250.0 * (k // 2), 150.0, k), 8.0, kind) for k in range(1, 6)]
-    return CheckedPlan("five copters", 1, _fleet(*rings))
-
-
-def _stations() -> CheckedPlan:
-    places = [(-100.0, -100.0), (1300.0, 0.0), (1200.0, 1300.0), (0.0, 1200.0)]
-    return CheckedPlan("one plane and four stations", 1, _fleet(_vehicle(1, _box(200.0, 200.0, 800.0)), stations=places))
-
-
-def _coarse() -> CheckedPlan:
-    boxes = [_vehicle(k, _box(1500.0 * (k % 2), 1500.0 * (k // 2), 700.0), 25.0) for k in range(1, 5)]
-    return CheckedPlan("ranges of 5 m, receivers of 4 m", 3, _fleet(*boxes, range_sigma_m=5.0, position_sigma_m=4.0))
-
-
-def _paper() -> CheckedPlan:
-    return CheckedPlan("Qu and Zhang's flight", 4, load_plan([SCENARIOS / "paper.toml"]))
-
-
+_STATIONS = [(-100.0, -100.0), (1300.0, 0.0), (1200.0, 1300.0), (0.0, 1200.0)]
 CHECK_PLANS: Mapping[str, Callable[[], CheckedPlan]] = {
-    "around": _around,
-    "abreast": _abreast,
-    "column": _column,
-    "far": _far,
-    "two-peers": _two_peers,
-    "no-air-data": _without_air_data,
-    "copters": _copters,
-    "stations": _stations,
-    "coarse": _coarse,
-    "paper": _paper,
+    "around": lambda: CheckedPlan("four planes, each on a square of its own", 1, _fleet(*_boxes(900.0, 500.0))),
+    "abreast": lambda: CheckedPlan("four planes abreast, to and fro", 1, _fleet(*_lanes(250.0, 0.0))),
+    "column": lambda: CheckedPlan("four planes in a column", 1, _fleet(*_lanes(20.0, 300.0))),
+    "far": lambda: CheckedPlan("four planes far apart", 2, _fleet(*_rings(3500.0, 400.0, 4, 20.0, VehicleClass.PLANE))),
+    "two-peers": lambda: CheckedPlan(
+        "two peers alone", 1, _fleet(*(_vehicle(k, _ring(700.0 * k, 300.0 * (k % 2), 350.0, 2.0 * k)) for k in range(1, 4)))
+    ),
+    "no-air-data": lambda: CheckedPlan("planes that send no airspeed", 1, _fleet(*_boxes(900.0, 500.0), has_air_data=False)),
+    "copters": lambda: CheckedPlan("five copters", 1, _fleet(*_rings(250.0, 150.0, 5, 8.0, VehicleClass.MULTIROTOR))),
+    "stations": lambda: CheckedPlan(
+        "one plane and four stations", 1, _fleet(_vehicle(1, _box(200.0, 200.0, 800.0)), stations=_STATIONS)
+    ),
+    "coarse": lambda: CheckedPlan(
+        "ranges of 5 m, receivers of 4 m", 3, _fleet(*_boxes(1500.0, 700.0, 25.0), range_sigma_m=5.0, position_sigma_m=4.0)
+    ),
+    "paper": lambda: CheckedPlan("Qu and Zhang's flight", 4, load_plan([SCENARIOS / "paper.toml"])),
 }
 """The plans by name; each is built when asked for."""
 
@@ -302,19 +272,9 @@ def check_table(checks: Sequence[PlanCheck]) -> Table:
 
     It shows how many windows are close, the median of reached over predicted, and how many errors are within their bound.
     """
-    table = Table()
-    headings = ("plan", "predicted 95 % m", "reached / predicted", "told and within 20 %")
-    levels = (
-        "shown within",
-        "shown outside",
-        "covered",
-        "cannot tell",
-        "HPL stated / predicted",
-        "within 20 %",
-        "beyond predicted HPL",
-    )
-    for heading in (*headings, *levels, "fix predicted", "fix reached"):
-        table.add_column(heading, justify="left" if heading == "plan" else "right")
+    bounds = ("predicted 95 % m", "reached / predicted", "told and within 20 %", "shown within", "shown outside", "covered")
+    levels = ("cannot tell", "HPL stated / predicted", "within 20 %", "beyond predicted HPL", "fix predicted", "fix reached")
+    table = new_table("plan", *bounds, *levels, left=("plan",))
     for check in checks:
         bounds_m = [window.predicted_m for window in check.windows]
         span = f"{min(bounds_m):.1f} to {max(bounds_m):.1f}" if bounds_m else "-"

@@ -26,6 +26,7 @@ from gcs_coloc.recorder.judged_flight import find_recording
 from gcs_coloc.recorder.replay import Replay
 from gcs_coloc.recorder.side_tables import read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
+from gcs_coloc.runtime.output_files import new_table
 from gcs_coloc.runtime.tasks import KeptResults, Progress, Workers, run_tasks
 from gcs_coloc.study.integrity.flight_classes import CLASSES
 from gcs_coloc.study.integrity.simulated_fleet import SimulatedFleet
@@ -227,10 +228,9 @@ def _number(value: float | None) -> float:
 
 def check_table(losses: Sequence[Loss]) -> Table:
     """Return a row for each kind of flight, and one of all."""
-    table = Table()
-    headings = "flights", "losses", "stated / told 95 %", "within 20 %", "of those told", "of those with HDOP as told"
-    for heading in (*headings, "stated / told HPL", "within 20 %", "errors within", "told a fix: had one", "told none: had none"):
-        table.add_column(heading, justify="left" if heading == "flights" else "right")
+    bounds = "flights", "losses", "stated / told 95 %", "within 20 %", "of those told", "of those with HDOP as told"
+    levels = "stated / told HPL", "within 20 %", "errors within", "told a fix: had one", "told none: had none"
+    table = new_table(*bounds, *levels, left=("flights",))
     kinds = list(dict.fromkeys(loss.kind for loss in losses))
     for kind in kinds:
         table.add_row(kind, *_cells([loss for loss in losses if loss.kind == kind]))

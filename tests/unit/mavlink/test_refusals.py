@@ -9,7 +9,7 @@ def test_counts_add_up_by_reason():
     counts.add(Refusal.BAD_CRC, 2)
     more.add(Refusal.BAD_CRC)
     more.add(InvalidValue("ATTITUDE", Field.ROLL))
-    counts.add_all(more)
+    counts.update(more)
     assert dict(counts) == {"bad_crc": 4, "invalid_value:ATTITUDE.roll": 1}
     assert counts["truncated"] == 0
     assert "truncated" not in counts

@@ -2,8 +2,8 @@ from dataclasses import replace
 
 import pytest
 
-from gcs_coloc.recorder.comparison import ChangeOutcome, Tolerance, compare
 from gcs_coloc.recorder.judged_flight import Figures, JudgedFlight
+from gcs_coloc.recorder.judging import ChangeOutcome, Tolerance, compare
 
 BEFORE: Figures = {
     "without_gps_s": 60.0,
