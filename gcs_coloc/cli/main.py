@@ -5,9 +5,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import sys
-from collections.abc import Mapping
 from dataclasses import replace
-from enum import Enum
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,6 +14,7 @@ import typer
 from typer.core import TyperGroup
 
 from gcs_coloc import __version__
+from gcs_coloc.cli.flags import LogLevel, UdpOption, given, links_of, web_flags
 from gcs_coloc.core.errors import GcsColocError, UsageError
 from gcs_coloc.runtime.process import NOBODY_READS, discard_output, importing, one_thread, open_all
 
@@ -85,20 +84,6 @@ app = typer.Typer(
 )
 
 
-UdpOption = Annotated[
-    list[str] | None, typer.Option(help="Listen for vehicles on a UDP port: PORT or HOST:PORT. May be given several times.")
-]
-
-
-class LogLevel(str, Enum):  # noqa: UP042 - typer shows the values of a str Enum as choices
-    """How much is logged."""
-
-    DEBUG = "debug"
-    INFO = "info"
-    WARNING = "warning"
-    ERROR = "error"
-
-
 def main() -> None:
     """Run the command line of `gcs-coloc`; the entry point of the program.
 
@@ -153,28 +138,6 @@ def _version(wanted: bool) -> None:
     if wanted:
         print(f"{PROGRAM} {__version__}")
         raise typer.Exit
-
-
-def given(flags: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the flags that were given: those that are neither None nor empty, in their tables too."""
-    tables = {key: given(value) if isinstance(value, Mapping) else value for key, value in flags.items()}
-    return {key: value for key, value in tables.items() if value not in (None, [], {})}
-
-
-def links_of(udp: list[str] | None, link: list[str] | None) -> list[str]:
-    """Return the links to vehicles that --udp and --link name."""
-    return [*(f"udpin:{where}" for where in udp or ()), *(link or ())]
-
-
-def web_flags(web: str | None, no_web: bool) -> dict[str, Any]:
-    """Return the settings of the page that --web or --no-web states.
-
-    Raises:
-        UsageError: both are stated.
-    """
-    if web is not None and no_web:
-        raise UsageError("--web and --no-web exclude each other")
-    return {"on": not no_web, "address": web} if web is not None or no_web else {}
 
 
 @app.callback(invoke_without_command=True)

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from gcs_coloc.cli.main import UdpOption, given, links_of
+from gcs_coloc.cli.flags import UdpOption, given, links_of
 from gcs_coloc.config.examples import EXAMPLES
 from gcs_coloc.config.fleets import PER_FLEET, FleetOf, load_fleets, load_settings
 from gcs_coloc.core.errors import UsageError

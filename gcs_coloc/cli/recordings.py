@@ -38,8 +38,7 @@ def export(
     estimator: EstimatorOption = None,
 ) -> None:
     """Write a recorded flight as CSV, GeoJSON and KML, and as Parquet if wanted."""
-    from gcs_coloc.recorder.formats import write_all
-    from gcs_coloc.recorder.formats.vehicle_table import FlightTables
+    from gcs_coloc.recorder.formats import FlightTables, write_all
 
     if out is not None:
         make_output_directory(out, "--out")

@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 
 import typer
 
-from gcs_coloc.cli.main import LogLevel, given, web_flags
+from gcs_coloc.cli.flags import LogLevel, given, web_flags
 from gcs_coloc.config.settings import settings_of
 from gcs_coloc.core.errors import ConfigError, UsageError
 from gcs_coloc.runtime.checked_tables import read_toml

@@ -10,7 +10,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from pyarrow import parquet
 
 from gcs_coloc.core.residual_log import RangeSnapshot
-from gcs_coloc.recorder.formats.vehicle_table import FlightTables
+from gcs_coloc.recorder.formats import FlightTables
 from gcs_coloc.sinks.metrics import fleet_registry
 from gcs_coloc.sinks.mqtt_models import of_vehicle
 from gcs_coloc.web.picture import fleet_frame

@@ -5,15 +5,11 @@ The table has a row for each vehicle in each snapshot of the fleet.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from math import hypot
-from pathlib import Path
 from typing import Protocol
 
-from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
 
 Cell = float | int | bool | str | None
@@ -85,119 +81,3 @@ COLUMNS: tuple[Column, ...] = (
     Column("without_gps_hdop", float, lambda v: v.readiness.hdop if v.readiness is not None else None, 3),
 )
 """All but the first one, `unix_s`: the time of the row, s since 1970."""
-
-
-class CsvTable:
-    """Writes the table of vehicles to a CSV file, row by row."""
-
-    def __init__(self, path: Path) -> None:
-        self._file = path.open("w", encoding="utf-8", newline="")
-        self._writer = csv.writer(self._file, lineterminator="\n")
-        self._writer.writerow(["unix_s", *(column.name for column in COLUMNS)])
-
-    def add(self, fleet: FleetSnapshot) -> None:
-        """As `VehicleTable`."""
-        at = f"{fleet.at_s:.6f}"
-        self._writer.writerows([at, *(_text(column, v) for column in COLUMNS)] for v in fleet.vehicles)
-
-    def close(self) -> None:
-        """As `VehicleTable`."""
-        self._file.close()
-
-
-def _text(column: Column, v: VehicleSnapshot) -> str:
-    value = column.value(v)
-    if value is None:
-        return ""
-    if isinstance(value, float):
-        return f"{value:.{column.digits}f}"
-    return str(int(value)) if isinstance(value, bool) else str(value)
-
-
-_ROWS_AT_ONCE = 20_000
-"""Rows of a row group. Chosen: some megabytes of memory, and groups large enough to compress well."""
-
-
-class ParquetTable:
-    """Writes the table of vehicles to a Parquet file, a row group at a time."""
-
-    def __init__(self, path: Path) -> None:
-        import pyarrow as pa  # an extra
-        from pyarrow.parquet import ParquetWriter
-
-        types = {float: pa.float64(), int: pa.int64(), bool: pa.bool_(), str: pa.string()}
-        self._schema = pa.schema([("unix_s", pa.float64()), *((column.name, types[column.kind]) for column in COLUMNS)])
-        self._table = pa.table
-        self._writer = ParquetWriter(path, self._schema)
-        self._columns: list[list[Cell]] = [[] for _ in self._schema]
-
-    def add(self, fleet: FleetSnapshot) -> None:
-        """As `VehicleTable`."""
-        times, *others = self._columns
-        times.extend([fleet.at_s] * len(fleet.vehicles))
-        for cells, column in zip(others, COLUMNS, strict=True):
-            cells.extend(map(column.value, fleet.vehicles))
-        if len(times) >= _ROWS_AT_ONCE:
-            self._write()
-
-    def close(self) -> None:
-        """As `VehicleTable`."""
-        self._write()
-        self._writer.close()
-
-    def _write(self) -> None:
-        self._writer.write_table(self._table(self._columns, schema=self._schema))
-        for cells in self._columns:
-            cells.clear()
-
-
-_TABLES: dict[str, type[CsvTable] | type[ParquetTable]] = {"csv": CsvTable, "parquet": ParquetTable}
-
-
-class FlightTables:
-    """The tables of one flight, in files beside each other that are named after `base`.
-
-    The files are opened with the first row. A flight without rows leaves empty tables.
-    """
-
-    def __init__(self, base: Path, suffixes: Sequence[str]) -> None:
-        """Prepare the tables `csv` or `parquet`, or both.
-
-        Raises:
-            UsageError: the package for Parquet is not installed.
-        """
-        if "parquet" in suffixes:
-            try:
-                import_module("pyarrow")
-            except ModuleNotFoundError as error:
-                raise UsageError(f"--parquet: needs {error.name}: pip install 'gcs-coloc[parquet]'") from None
-        self._paths = {base.with_name(f"{base.name}.{suffix}"): _TABLES[suffix] for suffix in suffixes}
-        self._tables: list[VehicleTable] = []
-
-    @property
-    def files(self) -> list[Path]:
-        """The files."""
-        return list(self._paths)
-
-    def add(self, fleet: FleetSnapshot) -> None:
-        """Add a row for each vehicle.
-
-        Raises:
-            OSError: a file cannot be written.
-        """
-        for table in self._opened():
-            table.add(fleet)
-
-    def close(self) -> None:
-        """Write what is left.
-
-        Raises:
-            OSError: a file cannot be written.
-        """
-        for table in self._opened():
-            table.close()
-
-    def _opened(self) -> list[VehicleTable]:
-        if not self._tables:
-            self._tables = [kind(path) for path, kind in self._paths.items()]
-        return self._tables

@@ -10,7 +10,7 @@ from command_line import gcs_coloc
 from recorded_flight import write_flight
 from recordings import recording
 
-from gcs_coloc.recorder import judge_run
+from gcs_coloc.recorder import judging
 from gcs_coloc.recorder.judged_flight import judge_flight
 
 
@@ -37,7 +37,7 @@ def watched(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         seen.append(found.name)
         return judge_flight(by, found)
 
-    monkeypatch.setattr(judge_run, "judge_flight", see)
+    monkeypatch.setattr(judging, "judge_flight", see)
     return seen
 
 
@@ -120,7 +120,7 @@ def test_another_program_or_file_is_judged_anew(year: Path, tmp_path: Path, judg
     (copy / "may/ranges.csv").write_text("unix_s,from_sysid,to_sysid,range_m,sigma_m\n")
     gcs_coloc(*arguments)
     assert len(judged) == 2
-    monkeypatch.setattr(judge_run, "program_digest", lambda: "another")
+    monkeypatch.setattr(judging, "program_digest", lambda: "another")
     gcs_coloc(*arguments)
     assert len(judged) == 3
 

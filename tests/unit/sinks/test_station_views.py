@@ -15,7 +15,8 @@ from gcs_coloc.core.stations.node_id import station_node
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.recorder.flight_history import FlightHistory
 from gcs_coloc.recorder.flight_report import FlightReport
-from gcs_coloc.recorder.formats.maps import write_geojson, write_kml
+from gcs_coloc.recorder.formats.geojson import write_geojson
+from gcs_coloc.recorder.formats.kml import write_kml
 from gcs_coloc.recorder.formats.mcap_file import McapEncoder, as_json
 from gcs_coloc.recorder.journal import Journal, StationEntry
 from gcs_coloc.recorder.replay import ReplayCounts

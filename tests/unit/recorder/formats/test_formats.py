@@ -19,7 +19,7 @@ from recorded_flight import EPOCH_S, write_flight
 
 from gcs_coloc.cli.recordings import export
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.recorder.formats.vehicle_table import FlightTables
+from gcs_coloc.recorder.formats import FlightTables
 
 GX = "{http://www.google.com/kml/ext/2.2}"
 KML = "{http://www.opengis.net/kml/2.2}"
@@ -143,6 +143,7 @@ def test_the_parquet_holds_what_the_csv_holds_in_types_of_its_own(exported):
 def test_without_its_package_parquet_is_refused_before_the_replay_with_the_remedy(exported, tmp_path, monkeypatch):
     directory, _ = exported
     monkeypatch.setitem(sys.modules, "pyarrow", None)
+    monkeypatch.delitem(sys.modules, "gcs_coloc.recorder.formats.parquet_table", raising=False)
     with pytest.raises(UsageError, match=r"--parquet: needs pyarrow: pip install 'gcs-coloc\[parquet\]'"):
         export(directory.parent / "flight.tlog", out=tmp_path, parquet=True)
     assert list(tmp_path.iterdir()) == []

@@ -8,7 +8,7 @@ from pathlib import Path
 from fleet_views import HEALTHY, LOCATED
 
 from gcs_coloc.recorder.flight_history import FlightHistory
-from gcs_coloc.recorder.formats.maps import map_shapes
+from gcs_coloc.recorder.formats.geojson import map_shapes
 from gcs_coloc.recorder.journal import VehicleEntry
 
 FAILED = replace(LOCATED, covariance_h_m2=(9.0, 0.0, 4.0))
