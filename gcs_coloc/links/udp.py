@@ -104,8 +104,7 @@ class UdpLink:
         """
         loop = asyncio.get_running_loop()
         family, sockaddr = await self._resolve(loop)
-        if not self._address.LISTENS:
-            _require_one_host(self._address, family, sockaddr)
+        _require_one_host(self._address, family, sockaddr)
         udp_socket = socket.socket(family, socket.SOCK_DGRAM)
         try:
             udp_socket.setblocking(False)
@@ -191,6 +190,8 @@ class UdpLink:
 def _require_one_host(address: NetworkAddress, family: socket.AddressFamily, sockaddr: Any) -> None:
     """LinkError where an address is a broadcast or multicast one: all would receive what is meant for one.
 
+    A socket that listens on one would hear nothing that is sent to this host alone.
+
     Which addresses are broadcast ones depends on the network masks. The system knows them: it requires SO_BROADCAST for them.
     """
     kind = "multicast" if ip_address(sockaddr[0].partition("%")[0]).is_multicast else None
@@ -198,11 +199,14 @@ def _require_one_host(address: NetworkAddress, family: socket.AddressFamily, soc
         kind is None and family == socket.AF_INET and not _connects(sockaddr) and _connects(sockaddr, broadcast=True)
     ):
         kind = "broadcast"
-    if kind is not None:
-        raise LinkError(
-            f"{address}: {address.host} is a {kind} address: all hosts there would get what is sent, and the answers could "
-            f"not be told apart; give the one host's address, or listen (udpin:{address.port}) and have each of them connect"
-        )
+    if kind is None:
+        return
+    if address.LISTENS:
+        raise LinkError(f"{address}: {address.host} is a {kind} address; use 0.0.0.0 to listen on all addresses of this machine")
+    raise LinkError(
+        f"{address}: {address.host} is a {kind} address: all hosts there would get what is sent, and the answers could "
+        f"not be told apart; give the one host's address, or listen (udpin:{address.port}) and have each of them connect"
+    )
 
 
 def _connects(sockaddr: Any, *, broadcast: bool = False) -> bool:

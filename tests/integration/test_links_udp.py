@@ -233,6 +233,13 @@ def test_an_address_that_reaches_everybody_is_refused_with_the_remedy(host):
     assert link.peers == ()
 
 
+@pytest.mark.parametrize("host", ["127.255.255.255", "255.255.255.255", "239.1.2.3"])
+def test_nor_can_be_listened_on_where_what_is_meant_for_this_host_would_not_arrive(host, free_port):
+    link = UdpLink(UdpIn(host, free_port), Inbox(), lambda: 0.0)
+    with pytest.raises(LinkError, match=r"is a (broad|multi)cast address; use 0\.0\.0\.0 to listen on all addresses of"):
+        asyncio.run(link.open())
+
+
 @pytest.mark.parametrize("host", ["127.0.0.255", "127.0.0.1"])
 def test_an_address_that_only_looks_like_a_broadcast_one_is_one_host(host):
     async def scenario():
