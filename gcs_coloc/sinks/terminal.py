@@ -91,11 +91,11 @@ _HEADINGS = ("vehicle", "GPS", "heard", "latitude", "longitude", "95 %", "HPL", 
 _LEFT = ("vehicle", "GPS", "aiding")
 _READY = {
     ReadinessState.READY: ("ready", "green"),
-    ReadinessState.DEGRADED: ("weak", "yellow"),
-    ReadinessState.NOT_READY: ("none", "bold red"),
+    ReadinessState.DEGRADED: ("degraded", "yellow"),
+    ReadinessState.NOT_READY: ("not ready", "yellow"),
     ReadinessState.UNKNOWN: ("-", "dim"),
 }
-"""How it is written what aiding a healthy vehicle would have if its GPS failed."""
+"""How the readiness of a healthy vehicle is written: nothing is sent to it, and this is what it would have if its GPS failed."""
 _MIN_ROWS = 3
 """Rows of a fleet that are shown where the terminal has room for fewer. Chosen: the most serious must be seen."""
 
@@ -148,10 +148,11 @@ def _fleet(snapshot: FleetSnapshot, name: str, console: Console, width: int, hei
 def _rows(vehicles: list[VehicleSnapshot]) -> Table:
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
     for heading in _HEADINGS:
-        table.add_column(heading, no_wrap=True, justify="left" if heading in _LEFT else "right")
+        # Where there is no room for all, the end of a name gives way, and no digit.
+        table.add_column(heading, no_wrap=heading != "vehicle", justify="left" if heading in _LEFT else "right")
     for v in vehicles:
         table.add_row(
-            called(v),
+            Text(called(v), no_wrap=True, overflow="ellipsis"),
             Text(v.gps_state, style=_GPS_STYLES[GpsState(v.gps_state)]),
             age(v.age_s),
             number(v.lat_deg, 5),
@@ -179,7 +180,7 @@ def _aiding(v: VehicleSnapshot) -> Text:
         return Text("fix")
     if v.readiness is not None:
         return Text(*_READY[v.readiness.state])
-    return Text("-" if v.gps_state == GpsState.HEALTHY.value else "no fix")
+    return Text("-") if v.gps_state == GpsState.HEALTHY.value else Text("no fix", style="bold red")
 
 
 _LIGHT_STYLES: dict[LightColour, str] = {"good": "green", "caution": "yellow", "bad": "bold red", "unknown": "dim"}

@@ -177,11 +177,19 @@ def test_without_a_terminal_there_are_plain_lines_at_a_calm_rate(caplog: pytest.
     assert "95 % bound 30.1 m, HPL -, HDOP 1.4, 3 ranges in use, aiding sending 3D fix" in lines[2]
 
 
-@pytest.mark.parametrize(("readiness", "word"), [(READY, "ready"), (NOT_READY, "none"), (None, "-")])
-def test_a_healthy_vehicle_shows_what_aiding_it_would_have(readiness, word):
-    text = rendered(fleet_of(replace(HEALTHY, readiness=readiness)))
+@pytest.mark.parametrize(("readiness", "words"), [(READY, "0 ready"), (NOT_READY, "0 not ready"), (None, "0 -")])
+def test_a_healthy_vehicle_shows_its_readiness(readiness, words):
+    text = rendered(fleet_of(replace(HEALTHY, readiness=readiness, ranges_in_use=0)))
     (line,) = [line for line in text.splitlines() if "healthy" in line]
-    assert line.split()[-1] == word
+    assert " ".join(line.split()).endswith(words)
+
+
+def test_where_the_widest_line_has_no_room_the_end_of_the_name_gives_way():
+    lines = rendered(fleet_of(WIDEST, replace(HEALTHY, readiness=NOT_READY))).splitlines()
+    (widest,) = [line for line in lines if line.startswith("255") and "recovering" in line]
+    assert widest.split("recovering")[0].strip() == "255 Kite …"
+    assert " ".join(widest.split()).endswith("-47.39774 -122.54559 9999 m 99.9 m 3 no fix")
+    assert any(line.rstrip().endswith("not ready") for line in lines)
 
 
 def test_lost_readiness_is_a_reason_to_be_told():
