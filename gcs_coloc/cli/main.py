@@ -224,7 +224,7 @@ def run(
         from gcs_coloc.cli.preflight import check_fleets
         from gcs_coloc.service.supervisor import Supervisor
 
-        check_fleets(config, fleets)  # what is wrong from the start ends it here, and no worker is started again and again for it
+        check_fleets(fleets)  # what is wrong from the start ends it here, and no worker is started again and again for it
         log_to_stderr(level, None)
         # As it was started itself, whatever the Python and its options.
         asyncio.run(Supervisor(fleets, [sys.executable, *sys.orig_argv[1:]]).run())

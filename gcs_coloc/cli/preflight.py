@@ -32,11 +32,12 @@ def check_config(file: Annotated[Path, typer.Argument(help="The configuration fi
     Its keys, values, links and estimator are checked, and every file that it names.
     """
     fleets = load_fleets(file, {})
-    check_fleets(file, fleets)
+    check_fleets(fleets)
     found = []
     for fleet in fleets:
         whose = f"fleet {fleet.name}: " if fleet.name else ""
-        found.append(f"{whose}{len(fleet.settings.links)} link(s), estimator {fleet.settings.estimator.name}")
+        links = f"{len(fleet.settings.links)} link(s)" if fleet.settings.links else "no link: give one with --udp or --link"
+        found.append(f"{whose}{links}, estimator {fleet.settings.estimator.name}")
     if fleets[0].settings.service.processes == PER_FLEET:
         found.append("a process for each fleet")
     print(f"{file}: good; {'; '.join(found)}")
@@ -102,8 +103,8 @@ def doctor(
         raise typer.Exit(1)
 
 
-def check_fleets(path: Path | None, fleets: Iterable[FleetOf]) -> None:
-    """Check each fleet of the configuration file `path`, and read every file that it names.
+def check_fleets(fleets: Iterable[FleetOf]) -> None:
+    """Check each fleet of a configuration file, and read every file that it names.
 
     Raises:
         GcsColocError: something is wrong; the text names the fleet, the setting and the remedy.
@@ -116,8 +117,6 @@ def check_fleets(path: Path | None, fleets: Iterable[FleetOf]) -> None:
     for fleet in fleets:
         settings = fleet.settings
         with fleet.named():
-            if not settings.links:
-                raise UsageError(f'{path}: no link to listen on; write links = ["udpin:0.0.0.0:14550"], or another link, into it')
             check_outs(settings.out, settings.links)
             SignedLinks(settings.signing, settings.links, settings.out)
             load_estimator(settings.estimator.name, settings.estimator.settings)

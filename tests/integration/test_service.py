@@ -122,7 +122,6 @@ def test_garbage_and_broken_frames_disturb_nobody(start_service, free_port):
         (["--udp", "nonsense"], 2, "connection string"),
         (["--udp", "70000"], 2, "70000"),
         (["--config", os.devnull], 2, "no link"),
-        (["check-config", os.devnull], 2, "no link"),
         (["--config", "absent.toml"], 2, "absent.toml"),
         (["--udp", "14550", "--estimator", "absent"], 2, "absent"),
         (["--udp", "14550", "--udp", "127.0.0.1:14550"], 2, "the same place"),

@@ -141,6 +141,13 @@ def per_fleet(tmp_path: Path) -> Path:
     return tmp_path / "fleets.toml"
 
 
+def test_a_configuration_without_links_is_good_for_what_needs_none_and_for_links_on_the_command_line(tmp_path):
+    (tmp_path / "coloc.toml").write_text('[estimator]\nname = "qu_zhang"\n')
+    done = gcs_coloc("check-config", tmp_path / "coloc.toml")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.endswith("coloc.toml: good; no link: give one with --udp or --link, estimator qu_zhang\n")
+
+
 def test_check_config_says_that_each_fleet_has_a_process(per_fleet):
     done = gcs_coloc("check-config", per_fleet)
     assert done.stdout.endswith("fleet b: 1 link(s), estimator fleet; a process for each fleet\n"), done.stderr
