@@ -19,6 +19,15 @@ _SPIKE_AT_THE_START = """async () => {
   await new Promise(requestAnimationFrame);
   return plots.plots[0].scales.y.max;
 }"""
+_RESIDUALS_OF_FIVE_SECONDS = """async (size) => {
+  const { Plots } = await import("/static/plots.js");
+  const plots = new Plots();
+  plots.setOffset(1795251578);
+  const ranges = (innovation_m) => [{ from_sysid: 4, to_sysid: 1, innovation_m }];
+  for (let at_s = 0; at_s < 5; at_s += 1) plots.residuals.add({ at_s, ranges: ranges(at_s % 2 ? size : -size) });
+  await new Promise(requestAnimationFrame);
+  return plots.residuals.plot.axes.map((axis) => axis._values);
+}"""
 
 
 def test_the_values_under_the_cursor_are_told_for_every_plot(watched):
@@ -67,3 +76,10 @@ def _read_without(figure, sysid: str) -> bool:
 
 def test_a_spike_at_the_start_does_not_set_the_scale(watched):
     assert 2.0 < watched.page.evaluate(_SPIKE_AT_THE_START) < 10.0
+
+
+@pytest.mark.parametrize("size_m", [0.7, 1.2, 1.7, 2.3, 4.4, 9.5])
+def test_a_plot_of_a_few_seconds_tells_its_scale_and_no_time_twice(watched, size_m):
+    times, values = watched.page.evaluate(_RESIDUALS_OF_FIVE_SECONDS, size_m)
+    assert len(values) >= 3, values
+    assert len(set(times)) == len(times) >= 2, times

@@ -9,6 +9,8 @@ const SAMPLES = 600;
 const HEIGHT = 150;
 const READ_AT_ONCE = 6; // values beside the cursor; more do not fit into one line
 const SPIKE = 3; // times what 95 % of the values stay below; a value beyond that is cut off
+const TIME_STEPS_S = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600]; // no finer ones: times are told to the second
+const VALUE_STEP_PX = 20; // so that the residuals have a value beside zero, whatever their size
 const KINDS = [
   { key: "sigma_h_m", title: "1-sigma, m" },
   { key: "hdop", title: "HDOP" },
@@ -115,7 +117,7 @@ export class Plots {
     if (old) old.replaceWith(holder);
     else byId("series").before(holder);
     const plot = new uPlot({
-      ...size(holder), padding: [null, 30, null, null], title, series: [{}, ...series], axes: [{ ...axis, space: 80, values: (_, times) => times.map((t) => this.clock(t)) }, { ...axis, size: 46 }],
+      ...size(holder), padding: [null, 30, null, null], title, series: [{}, ...series], axes: [{ ...axis, space: 80, incrs: TIME_STEPS_S, values: (_, times) => times.map((t) => this.clock(t)) }, { ...axis, size: 46, space: VALUE_STEP_PX }],
       bands, cursor: { sync: { key: "time" } }, scales: { x: { time: this.offset !== null }, ...scales },
       legend: { show: false }, hooks: { setCursor: [(u) => { reading.textContent = read(u); }] },
     }, data, holder);
