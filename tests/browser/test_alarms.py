@@ -55,6 +55,19 @@ def test_an_alarm_is_active_on_every_page_until_it_is_over_and_somebody_has_ackn
     other.close()
 
 
+def test_a_notice_is_never_called_over_for_nobody_knows_whether_its_cause_lasts(watched, live):
+    page = watched.page
+    notice = page.locator("#alarms li[data-kind='notice'][data-sysid='2']", has_text="GPS_INPUT is not taken")
+    live.failed.add(2)
+    expect(notice).to_have_class("error notice")
+    expect(notice.locator(".text")).to_have_text(re.compile("^vehicle 2: GPS_INPUT is not taken"))
+    expect(notice.locator(".when")).to_have_text(re.compile(r"^\d\d:\d\d:\d\d$"))
+    notice.get_by_role("button", name="Acknowledge").click()
+    expect(notice).to_have_count(0)
+    live.failed.clear()
+    wait_until_good(page, 2)
+
+
 RINGS = """
     window.rung = 0;
     window.notified = [];

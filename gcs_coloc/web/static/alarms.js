@@ -6,7 +6,9 @@ const LOG_LINES = 200;
 const SOUND_HZ = 880;
 const SOUND_S = 0.4;
 const WAITS = new Set(["active", "over"]); // to be acknowledged
-const STATE_WORDS = { active: "", acknowledged: "acknowledged", over: "over" };
+// A notice has no duration: whether its cause lasts is not known, so that it is never called over.
+const shownState = ({ kind, state }) => (kind === "notice" ? "notice" : state);
+const STATE_WORDS = { active: "", acknowledged: "acknowledged", over: "over", notice: "" };
 
 const about = (sysid) => (sysid === null ? "" : `vehicle ${sysid}: `);
 
@@ -112,14 +114,15 @@ export class Alarms {
   }
 
   fill(node, alarm) {
-    const { sysid, state, level, text, action, raised_at_s: raised, over_at_s: over, times } = alarm;
+    const { sysid, level, text, action, raised_at_s: raised, over_at_s: over, times } = alarm;
+    const state = shownState(alarm);
     node.className = `${level} ${state}`;
     const [sign, words, when, button] = node.children;
     setText(sign, state === "over" ? "–" : level === "error" ? "✕" : "!");
     setText(words, `${state === "over" ? "over: " : ""}${about(sysid)}${prose(text)}${/[.!?]$/.test(text) ? "" : "."} ${action}`);
     const lasts = over === null ? `since ${this.timeText(raised)}` : raised === over ? this.timeText(over) : `${this.timeText(raised)} to ${this.timeText(over)}`;
     setText(when, [lasts, times > 1 ? `${times} times` : "", STATE_WORDS[state]].filter(Boolean).join(", "));
-    button.hidden = this.readOnly || !WAITS.has(state);
+    button.hidden = this.readOnly || !WAITS.has(alarm.state);
     const label = `Acknowledge ${about(sysid)}${prose(text.replace(/[\d.]+ (s|m)\b/g, ""))}`;
     if (button.getAttribute("aria-label") !== label) button.setAttribute("aria-label", label);
   }

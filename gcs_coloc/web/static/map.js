@@ -3,7 +3,7 @@
 import { byId } from "./dom.js";
 import { Grid } from "./map_grid.js";
 import { estimateIcon, reportedIcon, truthIcon } from "./map_icons.js";
-import { placeLabels } from "./map_labels.js";
+import { labelKey, placeLabels } from "./map_labels.js";
 import { vehicleName } from "./node_names.js";
 import { MapReadings } from "./map_readings.js";
 import { StationMarks } from "./map_stations.js";
@@ -128,8 +128,8 @@ export class FleetMap {
     const trusted = snapshot.gps_state === "healthy";
     const stale = snapshot.age_s > 3;
     const words = `${vehicleName(snapshot)}, ${LIGHT_WORDS[light]}`;
-    this.place(snapshot.sysid, "estimate", snapshot.enu_m, `${words}: estimated position`, () => estimateIcon(snapshot, light, stale, this.labels.get(snapshot.sysid)));
-    this.place(snapshot.sysid, "reported", trusted ? null : snapshot.reported_enu_m, `${vehicleName(snapshot)}: reported position, not trusted`, () => reportedIcon(snapshot));
+    this.place(snapshot.sysid, "estimate", snapshot.enu_m, `${words}: estimated position`, () => estimateIcon(snapshot, light, stale, this.labels.get(labelKey(snapshot.sysid, "estimate"))));
+    this.place(snapshot.sysid, "reported", trusted ? null : snapshot.reported_enu_m, `${vehicleName(snapshot)}: reported position, not trusted`, () => reportedIcon(snapshot, this.labels.get(labelKey(snapshot.sysid, "reported"))));
     this.place(snapshot.sysid, "truth", vehicle.truth_enu_m, `${vehicleName(snapshot)}: true position`, () => truthIcon(snapshot));
     const drawEllipse = snapshot.enu_m !== null && ellipse !== null && !trusted;
     this.shape(mark, "ellipse", drawEllipse ? ellipsePoints(snapshot.enu_m, ellipse) : [], "ellipse", true);

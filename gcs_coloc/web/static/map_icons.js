@@ -10,13 +10,18 @@ function heading(snapshot) {
   return v !== null && Math.hypot(v[0], v[1]) > 2 ? (Math.atan2(v[0], v[1]) * 180) / Math.PI : null;
 }
 
+// The text of a mark at its place beside it; nothing where it has none.
+function labelled(place, text) {
+  return place === undefined ? [] : [svg("text", { class: "name", x: place[0], y: place[1], "text-anchor": place[2] }, text)];
+}
+
 export function estimateIcon(snapshot, light, stale, label) {
   const turn = heading(snapshot);
   const body = turn === null
     ? svg("circle", { cx: 0, cy: 0, r: 9 })
     : svg("path", { d: "M0 -14L9 11L0 6L-9 11Z", transform: `rotate(${turn.toFixed(0)})` });
   return svg("svg", { class: `vehicle ${light}${stale ? " stale" : ""}`, viewBox: "-17 -17 34 34", width: 34, height: 34, "aria-hidden": "true" },
-    body, ...(label === undefined ? [] : [svg("text", { class: "name", x: label[0], y: label[1], "text-anchor": label[2] }, `${idAndName(snapshot)} ${SIGNS[light]}${snapshot.readiness === null ? "" : READINESS_SIGNS[snapshot.readiness.state]}`)]));
+    body, ...labelled(label, `${idAndName(snapshot)} ${SIGNS[light]}${snapshot.readiness === null ? "" : READINESS_SIGNS[snapshot.readiness.state]}`));
 }
 
 export function stationIcon({ station_id: id }) {
@@ -30,8 +35,8 @@ export function truthIcon(snapshot) {
     ...(snapshot.gps_state === "healthy" ? [] : [svg("text", { class: "name", x: -11, y: 17, "text-anchor": "end" }, `${snapshot.sysid} true`)]));
 }
 
-export function reportedIcon(snapshot) {
+export function reportedIcon(snapshot, label) {
   return svg("svg", { class: "vehicle reported", viewBox: "-17 -17 34 34", width: 34, height: 34, "aria-hidden": "true" },
     svg("rect", { x: -8, y: -8, width: 16, height: 16 }), svg("path", { d: "M-8 -8L8 8M8 -8L-8 8" }),
-    svg("text", { class: "name", x: 13, y: 17 }, `${snapshot.sysid} reported`));
+    ...labelled(label, `${snapshot.sysid} reported`));
 }
