@@ -8,7 +8,8 @@ it against the host's. Where nothing shows it, it may be several times what mess
 
 A ranging device or companion computer may have booted apart from the autopilot, and does not answer TIMESYNC, but its stamps
 come over the same link. Where they agree with the boot clock they are stamps of that clock. Otherwise the link's least delay,
-once known, is subtracted from their own least difference.
+once known, is subtracted from their own least difference. A device whose stamps all come later than they used to, while those of
+the boot clock do not, waits in a queue of its own, or its clock was set back: what lies between the two is its uncertainty.
 """
 
 from __future__ import annotations
@@ -241,23 +242,28 @@ class VehicleClock:
         `device` is the device's own clock, which has already learnt from the stamp.
         """
         sync = self.synchronised(now_s)
-        waits_more_s = max(device.mean_wait_s() - self.stamps.mean_wait_s(), 0.0) if self.stamps.known else 0.0
+        waits_more_s, held_s = 0.0, device.held_back_s()
+        if self.stamps.known:
+            waits_more_s = max(device.mean_wait_s() - self.stamps.mean_wait_s(), 0.0)
+            held_s = max(held_s - self.stamps.held_back_s(), 0.0)
         # What waits longer than the autopilot's messages may have a longer least delay, too.
-        unknown_s = min(_WAITS * waits_more_s, _MOST_UNKNOWN_S)
+        unknown_s = hypot(min(_WAITS * waits_more_s, _MOST_UNKNOWN_S), 0.5 * held_s)
+        heard_s = device.to_service(stamp_s) + 0.5 * held_s
         if sync is None or not self.stamps.known:
             one_way = self.one_way()
-            return ServiceTime(device.to_service(stamp_s) - one_way.delay_s, hypot(one_way.sigma_s, unknown_s))
+            return ServiceTime(heard_s - one_way.delay_s, hypot(one_way.sigma_s, unknown_s))
         if self.round_trips.wanders(now_s):
             # The least of a minute is out of date there.
             is_same = abs(device.last_difference_s - self.stamps.last_difference_s) < _SAME_UNEVEN_CLOCK_S
             min_delay_s = sync.one_way_delay_s
         else:
-            is_same = abs(device.least_difference_s() - self.stamps.least_difference_s()) < _SAME_CLOCK_S
+            is_alike = abs(device.least_difference_s() - self.stamps.least_difference_s()) < _SAME_CLOCK_S
+            is_same = is_alike and held_s < _SAME_CLOCK_S
             min_delay_s = self.stamps.least_difference_s() - sync.offset_at_s(now_s)
         if is_same:
             return self.to_service(stamp_s, now_s)
         sigma_s = hypot(sync.sigma_at_s(now_s), _ONE_WAY_SIGMA_S, unknown_s)
-        return ServiceTime(device.to_service(stamp_s) - min_delay_s, sigma_s)
+        return ServiceTime(heard_s - min_delay_s, sigma_s)
 
     def _begin_anew(self, *, is_reboot: bool) -> None:
         self.stamps.begin_anew(is_reset=is_reboot)

@@ -350,3 +350,23 @@ def test_a_device_whose_stamps_wait_longer_than_the_autopilots_may_be_late_by_mo
         device.learn(at_s + 1.7e9, at_s + rng.uniform(0.2, 0.9))
     told = vehicle.clock.device_to_service(device, 199.0 + 1.7e9, 200.0)
     assert 0.1 < told.at_s - 199.0 < told.sigma_s
+
+
+@pytest.mark.parametrize("device_epoch_s", [1.7e9, None], ids=["a clock of its own", "the autopilot's"])
+@pytest.mark.parametrize("up", [QUEUE, None], ids=["answered", "not answered"])
+def test_a_device_whose_clock_is_set_back_by_less_than_a_jump_is_as_uncertain_as_that(up, device_epoch_s):
+    vehicle = Exchange(6, 300.0, 0.0, QUEUE, up)
+    vehicle.run(0.0, 140.0)
+    device, rng = SenderClock(), np.random.default_rng(7)
+
+    def stamp_s(at_s: float) -> float:
+        set_back_s = 0.4 if at_s >= 130.0 else 0.0
+        return (at_s + device_epoch_s if device_epoch_s is not None else vehicle.boot_s(at_s)) - set_back_s
+
+    told = {}
+    for at_s in np.arange(60.0, 140.0, 0.05):
+        assert device.learn(stamp_s(at_s), at_s + QUEUE(rng))
+        told[round(float(at_s), 2)] = vehicle.clock.device_to_service(device, stamp_s(at_s), at_s)
+    assert told[129.0].sigma_s < (0.01 if up is not None else 0.26)
+    for at_s in (132.0, 135.0, 139.0):
+        assert abs(told[at_s].at_s - at_s) < 1.5 * told[at_s].sigma_s
