@@ -3,9 +3,9 @@
 import ast
 import re
 from collections import defaultdict
+from functools import cache
 from pathlib import Path
-
-import pytest
+from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "gcs_coloc"
@@ -99,6 +99,7 @@ OTHERS_VERBS = {
 """What a file of Python has to be called, and two private functions that are still to be renamed."""
 
 FIRST_LINE_CHARACTERS = 100
+_DEFINITIONS = ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 
 
 def relative(path: Path) -> str:
@@ -119,28 +120,50 @@ def plain(text: str) -> str:
     return re.sub(r"[\s_-]+", " ", text).lower()
 
 
-def public_classes() -> dict[str, list[str]]:
-    found = defaultdict(list)
-    for path in MODULES:
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
-            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
-                found[node.name].append(relative(path))
-    return found
+def stems(name: str) -> set[str]:
+    """The words of a name without their endings, so that filters, filtered and filter are one."""
+    return {re.sub(r"(ings?|ed|ers?|ors?|es|s|e|y|ies)$", "", word) or word for word in words(name)}
 
 
-def names_of(path: Path) -> set[str]:
-    """Every name that a module defines: itself, its classes and functions, their arguments and attributes, its constants."""
-    found = {path.stem}
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            found.add(node.name)
+class Contents(NamedTuple):
+    """What a module defines: every name, its functions, its public classes, and what its docstrings begin with."""
+
+    names: set[str]
+    """Itself, its classes and functions, their arguments and attributes, its constants."""
+    functions: set[str]
+    public_classes: list[str]
+    long_first_lines: list[str]
+    is_named_after_them: bool
+    """Whether a word of the module's name is in the first line of its docstring or in the name of its largest definition."""
+
+
+@cache
+def contents(path: Path) -> Contents:
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    names, functions, first_lines = {path.stem}, set(), []
+    for node in ast.walk(tree):
+        if isinstance(node, _DEFINITIONS):
+            names.add(node.name)
+            if not isinstance(node, ast.ClassDef):
+                functions.add(node.name)
         elif isinstance(node, ast.arg):
-            found.add(node.arg)
+            names.add(node.arg)
         elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-            found.add(node.id)
+            names.add(node.id)
         elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
-            found.add(node.attr)
-    return found
+            names.add(node.attr)
+        if isinstance(node, ast.Module | _DEFINITIONS):
+            first_lines.append((ast.get_docstring(node) or " ").splitlines()[0])
+    definitions = [node for node in tree.body if isinstance(node, _DEFINITIONS)]
+    largest = max(definitions, key=lambda node: (node.end_lineno or 0) - node.lineno, default=None)
+    told = stems(first_lines[0]) | (stems(largest.name) if largest is not None else set())
+    return Contents(
+        names,
+        functions,
+        [node.name for node in definitions if isinstance(node, ast.ClassDef) and not node.name.startswith("_")],
+        [line for line in first_lines if len(line) > FIRST_LINE_CHARACTERS],
+        bool(stems(path.stem) & told),
+    )
 
 
 def test_every_term_of_the_glossary_is_used():
@@ -155,47 +178,29 @@ def test_no_term_stands_twice_in_the_glossary():
 
 
 def test_no_public_class_name_stands_twice():
-    assert {name: places for name, places in public_classes().items() if len(places) > 1} == {}
+    places = defaultdict(list)
+    for path in MODULES:
+        for name in contents(path).public_classes:
+            places[name].append(relative(path))
+    assert {name: paths for name, paths in places.items() if len(paths) > 1} == {}
 
 
-@pytest.mark.parametrize("path", MODULES + OTHERS, ids=relative)
-def test_no_name_is_a_private_word(path):
-    assert {name for name in names_of(path) if words(name) & PRIVATE_WORDS} == set()
+def test_no_name_is_a_private_word():
+    found = {relative(path): {n for n in contents(path).names if words(n) & PRIVATE_WORDS} for path in MODULES + OTHERS}
+    assert {path: names for path, names in found.items() if names} == {}
 
 
-@pytest.mark.parametrize("path", [path for path in MODULES + OTHERS if not relative(path).startswith("tests")], ids=relative)
-def test_no_function_is_named_by_a_vague_verb_alone(path):
-    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-    names = {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)}
-    assert {name for name in names if name.strip("_") in VAGUE_VERBS} == OTHERS_VERBS.get(relative(path), set())
-
-
-def stems(name: str) -> set[str]:
-    """The words of a name without their endings, so that filters, filtered and filter are one."""
-    return {re.sub(r"(ings?|ed|ers?|ors?|es|s|e|y|ies)$", "", word) or word for word in words(name)}
-
-
-def is_named_after_its_content(path: Path) -> bool:
-    """Whether a word of the module's name is in the first line of its docstring or in the name of its largest definition."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    definitions = [node for node in tree.body if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)]
-    largest = max(definitions, key=lambda node: (node.end_lineno or 0) - node.lineno, default=None)
-    first_line = (ast.get_docstring(tree) or "").splitlines()[0]
-    return bool(stems(path.stem) & (stems(first_line) | (stems(largest.name) if largest is not None else set())))
-
-
-def long_first_lines(path: Path) -> list[str]:
-    documented = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
-    nodes = [node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, documented)]
-    first_lines = [(ast.get_docstring(node) or " ").splitlines()[0] for node in nodes]
-    return [line for line in first_lines if len(line) > FIRST_LINE_CHARACTERS]
+def test_no_function_is_named_by_a_vague_verb_alone():
+    checked = [path for path in MODULES + OTHERS if not relative(path).startswith("tests")]
+    found = {relative(path): {n for n in contents(path).functions if n.strip("_") in VAGUE_VERBS} for path in checked}
+    assert {path: names for path, names in found.items() if names} == OTHERS_VERBS
 
 
 def test_a_docstring_says_in_its_first_line_what_the_thing_is():
-    found = {relative(path): lines for path in MODULES if (lines := long_first_lines(path))}
+    found = {relative(path): contents(path).long_first_lines for path in MODULES if contents(path).long_first_lines}
     assert not found, "a docstring's first line says what the thing is, in 100 characters; reasons come below it"
 
 
-@pytest.mark.parametrize("path", [path for path in MODULES if not path.name.startswith("__")], ids=relative)
-def test_a_module_is_named_after_its_main_content(path):
-    assert is_named_after_its_content(path), "its docstring's first line has no word of its name, its largest definition neither"
+def test_a_module_is_named_after_its_main_content():
+    found = [relative(p) for p in MODULES if not p.name.startswith("__") and not contents(p).is_named_after_them]
+    assert found == [], "their docstring's first line has no word of their name, their largest definition neither"

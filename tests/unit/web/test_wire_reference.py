@@ -3,8 +3,6 @@
 import dataclasses
 from pathlib import Path
 
-import pytest
-
 from gcs_coloc.core.readiness.vehicle_readiness import VehicleReadiness
 from gcs_coloc.core.residual_log import Consistency, RangeSnapshot
 from gcs_coloc.core.snapshot import VehicleSnapshot
@@ -43,6 +41,5 @@ FIELDS = [f"{model.__name__}.{name}" for model in MODELS for name in model.model
 FIELDS += [f"{view.__name__}.{f.name}" for view in VALUES for f in dataclasses.fields(view)]
 
 
-@pytest.mark.parametrize("field", FIELDS)
-def test_every_field_is_in_the_reference(field):
-    assert f"`{field.split('.')[1]}`" in TEXT
+def test_every_field_is_in_the_reference():
+    assert [field for field in FIELDS if f"`{field.split('.')[1]}`" not in TEXT] == []
