@@ -25,11 +25,12 @@ from gcs_coloc.core.measurements import (
     Vector3,
 )
 from gcs_coloc.evaluation.antennas import Attitudes, antenna_range
-from gcs_coloc.evaluation.dataset_meta import Node, read_meta
+from gcs_coloc.evaluation.dataset_meta import FARTHEST_M, Node, read_meta
 from gcs_coloc.evaluation.tables import DroppedRows, TableRow, read_layout
 
-_FARTHEST_M = 2e7
-"""Half way round the Earth: grids count from afar, but no further."""
+_FARTHEST_S = 1e11
+"""Three thousand years: POSIX times are within, those in milliseconds beyond."""
+_LEAST_SIGMA = 1e-6  # chosen: a micrometre; the square of a far smaller one is zero
 _HALF_TURN = math.pi + 0.01
 """Radians; what is beyond by less is rounding."""
 _FASTEST_TURN = 20.0
@@ -160,16 +161,16 @@ class _Rows:
             measured_at_s=measured_at_s,
             arrived_at_s=arrived_at_s,
             position_enu_m=_place(row),
-            sigma_h_m=row.positive("sigma_h_m"),
-            sigma_v_m=row.positive("sigma_v_m"),
+            sigma_h_m=_sigma(row, "sigma_h_m"),
+            sigma_v_m=_sigma(row, "sigma_v_m"),
             velocity_enu_mps=(row.number("ve_mps"), row.number("vn_mps"), row.number("vu_mps")) if moving else None,
-            sigma_velocity_mps=row.positive("sigma_vel_mps") if moving else None,
+            sigma_velocity_mps=_sigma(row, "sigma_vel_mps") if moving else None,
         )
 
     def altitude(self, row: TableRow) -> Measurement:
         measured_at_s, arrived_at_s = _times(row)
         vehicle = self._node(row, "id").vehicle
-        return AltitudeMeasurement(vehicle, measured_at_s, arrived_at_s, row.number("u_m"), row.positive("sigma_v_m"))
+        return AltitudeMeasurement(vehicle, measured_at_s, arrived_at_s, _metres(row, "u_m"), _sigma(row, "sigma_v_m"))
 
     def attitude(self, row: TableRow) -> Measurement:
         measured_at_s, arrived_at_s = _times(row)
@@ -195,8 +196,8 @@ class _Rows:
             forward_mps=row.number("forward_mps"),
             right_mps=row.number("right_mps"),
             turn_radps=row.within("turn_radps", -_FASTEST_TURN, _FASTEST_TURN, "radians a second are wanted"),
-            sigma_velocity_mps=row.positive("sigma_vel_mps"),
-            sigma_turn_radps=row.positive("sigma_turn_radps"),
+            sigma_velocity_mps=_sigma(row, "sigma_vel_mps"),
+            sigma_turn_radps=_sigma(row, "sigma_turn_radps"),
         )
 
     def range(self, row: TableRow) -> Measurement:
@@ -204,7 +205,7 @@ class _Rows:
         ends = a, b = self._node(row, "from_id"), self._node(row, "to_id")
         if a is b:
             raise row.error("to_id", "a node has no range to itself")
-        measured_m, sigma_m = row.not_negative("range_m"), row.positive("sigma_m")
+        measured_m, sigma_m = row.not_negative("range_m"), _sigma(row, "sigma_m")
         range_m = (measured_m - a.range_bias_m - b.range_bias_m) / (1.0 + a.range_scale + b.range_scale)
         ids = [_antenna(row, column, node) for column, node in zip(_ANTENNAS, ends, strict=True)]
         device_id = list(a.antennas).index(ids[0]) + 1 if ids[0] else 0
@@ -216,7 +217,7 @@ class _Rows:
 
     def truth(self, row: TableRow) -> None:
         of_node = self._truth.setdefault(self._node(row, "id").vehicle, [])
-        t_s, place = row.number("t_s"), _place(row)
+        t_s, place = _time(row, "t_s"), _place(row)
         if of_node and t_s < of_node[-1][0]:
             raise row.error("t_s", f"time goes back from {of_node[-1][0]:g} s")
         of_node.append((t_s, *place))
@@ -243,15 +244,27 @@ def _antenna(row: TableRow, column: str, node: Node) -> str:
 
 def _times(row: TableRow) -> tuple[float, float]:
     """Return when a row's quantity was measured and when it arrived, s."""
-    measured_at_s = row.number("t_s")
+    measured_at_s = _time(row, "t_s")
     if not row.has("arrival_s"):
         return measured_at_s, measured_at_s
-    arrived_at_s = row.number("arrival_s")
+    arrived_at_s = _time(row, "arrival_s")
     if arrived_at_s < measured_at_s:
         raise row.error("arrival_s", f"it arrived {measured_at_s - arrived_at_s:g} s before it was measured")
     return measured_at_s, arrived_at_s
 
 
+def _time(row: TableRow, column: str) -> float:
+    return row.within(column, -_FARTHEST_S, _FARTHEST_S, "seconds are wanted")
+
+
+def _sigma(row: TableRow, column: str) -> float:
+    row.positive(column)
+    return row.within(column, _LEAST_SIGMA, FARTHEST_M, "one standard deviation is wanted")
+
+
 def _place(row: TableRow) -> Vector3:
-    e, n, u = (row.within(column, -_FARTHEST_M, _FARTHEST_M, "metres are wanted") for column in ("e_m", "n_m", "u_m"))
-    return (e, n, u)
+    return _metres(row, "e_m"), _metres(row, "n_m"), _metres(row, "u_m")
+
+
+def _metres(row: TableRow, column: str) -> float:
+    return row.within(column, -FARTHEST_M, FARTHEST_M, "metres are wanted")

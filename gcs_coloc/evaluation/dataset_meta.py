@@ -18,6 +18,8 @@ from gcs_coloc.core.stations.node_id import MAX_STATION_ID, station_node
 from gcs_coloc.core.stations.stations import STATION_SIGMA_M
 from gcs_coloc.runtime.checked_tables import Number, Table, checked, read_toml
 
+FARTHEST_M = 2e7
+"""Half way round the Earth: grids count from afar, but no further."""
 _MOST_SCALE = 0.5  # chosen: a half or a double is a wrong unit
 
 
@@ -44,8 +46,8 @@ class Node:
 
 
 def _excess(scale: float) -> float:
-    if abs(scale) > _MOST_SCALE:
-        raise ValueError(f"is the excess over 1, within {_MOST_SCALE}: 0.01 is one per cent")
+    if abs(scale) >= _MOST_SCALE:
+        raise ValueError(f"is the excess over 1, below {_MOST_SCALE}: 0.01 is one per cent")
     return scale
 
 
@@ -56,25 +58,26 @@ def _differ(ids: Sequence[str], what: str) -> None:
 
 
 _Text = Annotated[str, Field(min_length=1)]
-_Sigma = Annotated[Number, Field(gt=0.0)]
+_Metres = Annotated[Number, Field(ge=-FARTHEST_M, le=FARTHEST_M)]
+_Sigma = Annotated[Number, Field(gt=0.0, le=FARTHEST_M)]
 
 
 class _Origin(Table):
     lat_deg: Annotated[Number, Field(ge=-90.0, le=90.0)]
     lon_deg: Annotated[Number, Field(ge=-180.0, le=180.0)]
-    alt_m: Number
+    alt_m: _Metres
 
 
 class _Device(Table):
-    range_bias_m: Number = 0.0
+    range_bias_m: _Metres = 0.0
     range_scale: Annotated[Number, AfterValidator(_excess)] = 0.0
 
 
 class _Antenna(Table):
     id: _Text
-    forward_m: Number
-    right_m: Number
-    down_m: Number
+    forward_m: _Metres
+    right_m: _Metres
+    down_m: _Metres
 
 
 class _Node(_Device):
@@ -94,9 +97,9 @@ class _Vehicle(_Node):
 
 class _Anchor(_Node):
     role: Literal["anchor"]
-    e_m: Number
-    n_m: Number
-    u_m: Number
+    e_m: _Metres
+    n_m: _Metres
+    u_m: _Metres
     sigma_m: _Sigma
 
 
