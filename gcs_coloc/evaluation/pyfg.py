@@ -9,6 +9,7 @@ out: no estimator here takes them. Source: PyFactorGraph, `py_factor_graph/io/py
 from __future__ import annotations
 
 import csv
+import json
 import re
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
@@ -110,18 +111,23 @@ def _read(file: Path) -> _Graph:
             count += 1
             try:
                 _add(graph, words)
-            except (ValueError, IndexError) as error:
+            except IndexError:
+                graph.wrong.append(f"{file}, line {number}: {len(words)} words are too few for {words[0]}")
+            except ValueError as error:
                 graph.wrong.append(f"{file}, line {number}: {error}")
     if len(graph.wrong) > _MOST_DROPPED * count:
         raise DataError(f"{graph.wrong[0]} ({len(graph.wrong)} of {count} lines are wrong: is it a PyFG file?)")
     if not graph.ranges or not graph.poses:
-        raise DataError(f"{file}: no {_RANGE} or no vertex of a robot in it")
+        first = f"; {graph.wrong[0]}" if graph.wrong else ""
+        raise DataError(f"{file}: no {_RANGE} or no vertex of a robot in it{first}")
     return graph
 
 
 def _add(graph: _Graph, words: list[str]) -> None:
     kind = words[0]
     if kind in _POSES:
+        if graph.poses and graph.dims != _POSES[kind]:
+            raise ValueError(f"a {kind} among vertices of {graph.dims} dimensions")
         graph.dims = _POSES[kind]
         graph.poses.setdefault(_robot(words[2]), []).append((_number(words[1]), *_place(words[3:], graph.dims)))
     elif kind in _LANDMARKS:
@@ -166,13 +172,19 @@ def _m(metres: float) -> str:
 
 
 def _meta(file: Path, graph: _Graph, denied: Iterable[str], peers: Iterable[str]) -> str:
-    text = f'name = "{file.stem}"\nsource = "PyFG file {file.name}"\nlicence = "not stated"\ndims = {graph.dims}\n'
+    name, source = _toml(file.stem), _toml(f"PyFG file {file.name}")
+    text = f'name = {name}\nsource = {source}\nlicence = "not stated"\ndims = {graph.dims}\n'
     for role, robots in (("denied", denied), ("peer", peers)):
         for robot in robots:
             text += f'\n[[node]]\nid = "{robot}"\nrole = "{role}"\n'
     for name, (e, n, u) in sorted(graph.landmarks.items()):
-        text += f'\n[[node]]\nid = "{name}"\nrole = "anchor"\ne_m = {e}\nn_m = {n}\nu_m = {u}\nsigma_m = {_ANCHOR_SIGMA_M}\n'
+        text += f'\n[[node]]\nid = {_toml(name)}\nrole = "anchor"\ne_m = {e}\nn_m = {n}\nu_m = {u}\nsigma_m = {_ANCHOR_SIGMA_M}\n'
     return text
+
+
+def _toml(text: str) -> str:
+    """Return a text as TOML writes it, which is as JSON does."""
+    return json.dumps(text)
 
 
 def _write(path: Path, header: str, rows: Iterable[tuple[object, ...]]) -> None:

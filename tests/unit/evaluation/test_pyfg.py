@@ -66,6 +66,7 @@ def test_three_dimensions_and_another_robot(tmp_path):
         "EDGE_RANGE 1600000001.0 A4 L1 -3.0 0.01",
         "EDGE_RANGE 1600000001.0 A4 L9x 3.0 0.01",
         "EDGE_RANGE 16",
+        "VERTEX_SE3:QUAT 1600000001.0 A9 1 2 3 0 0 0 1",
         "EDGE_RANGE 1 A4 L1 nan 1",
     ],
 )
@@ -87,3 +88,29 @@ def test_other_files_are_refused(tmp_path):
         import_pyfg(tmp_path / "y.pyfg", tmp_path / "set", ("Z",), 0.2, 1)
     with pytest.raises(DataError, match="cannot be read"):
         import_pyfg(tmp_path / "absent.pyfg", tmp_path / "set", (), 0.2, 1)
+
+
+def test_names_with_quotes_and_backslashes_are_kept(tmp_path):
+    file = tmp_path / 'my "best" \\run.pyfg'
+    file.write_text(graph().replace("L1", 'L"1'))
+    import_pyfg(file, tmp_path / "set", (), 0.2, 1)
+    dataset = read_dataset(tmp_path / "set")
+    assert dataset.name == 'my "best" \\run'
+    assert 'L"1' in {node.id for node in dataset.nodes}
+
+
+@pytest.mark.parametrize(
+    ("lines", "told"),
+    [("VERTEX_SE2 0.0 A0 1 2 0\nVERTEX_XY L0 0 0\nEDGE_RANGE 0 A0 L0 1 -1\n", "line 3: a range of 1 m"), ("", "no EDGE_RANGE")],
+)
+def test_a_file_without_a_good_range_tells_why(tmp_path, lines, told):
+    (tmp_path / "x.pyfg").write_text(lines)
+    with pytest.raises(DataError, match=told):
+        import_pyfg(tmp_path / "x.pyfg", tmp_path / "set", (), 0.2, 1)
+
+
+def test_a_line_that_is_too_short_is_told_in_words(tmp_path):
+    (tmp_path / "x.pyfg").write_text(graph(["EDGE_RANGE 16"]))
+    assert (
+        import_pyfg(tmp_path / "x.pyfg", tmp_path / "set", (), 0.2, 1).dropped[0].endswith("2 words are too few for EDGE_RANGE")
+    )
