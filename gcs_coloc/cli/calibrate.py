@@ -35,8 +35,8 @@ def calibrate(
 
     check_output_file(out, "--out")
     if source.is_dir():
-        if ranges is not None or truth is not None:
-            raise UsageError("--ranges and --truth are of a recording; a data set has its own")
+        if any(option is not None for option in (ranges, truth, config, fleet)):
+            raise UsageError("--ranges, --truth, --config and --fleet are of a recording; a data set has its own")
         data = recorded_data(read_dataset(source))
     else:
         from gcs_coloc.recorder.flight_history import read_history

@@ -46,7 +46,7 @@ SUBCOMMANDS = {
     "evaluate": "evaluate",
     "judge": "judge",
     "calibrate": "calibrate",
-    "import": "evaluate",
+    "import": "import_data",
     "plan": "plan",
     "study": "study",
     "watch": "watch",

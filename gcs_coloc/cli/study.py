@@ -37,7 +37,7 @@ def demo(
         str, typer.Option(help="A scenario that comes with sitl-fakes (sitl-fakes --list), or a scenario file (TOML).")
     ] = "paper",
     estimator: Annotated[str, typer.Option(help="fleet, qu_zhang, or a plug-in.")] = "fleet",
-    seed: Annotated[int, typer.Option(help="Seed of the simulated aircraft's noise.")] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of the simulated aircraft's noise.", min=0)] = 1,
 ) -> None:
     """Fly simulated aircraft: live for 90 s, then the whole flight in process; report and draw."""
     from gcs_coloc.study.demo import run_demo
@@ -48,7 +48,7 @@ def demo(
 @app.command("paper")
 def paper(
     seeds: Annotated[int, typer.Option(help="Draws of noise.")] = 20,
-    first_seed: Annotated[int, typer.Option(help="Seed of the first draw.")] = 1,
+    first_seed: Annotated[int, typer.Option(help="Seed of the first draw.", min=0)] = 1,
     jobs: JobsOption = 0,
     scheduler: SchedulerOption = None,
     resume: ResumeOption = None,
@@ -97,7 +97,7 @@ def bound(
     scenario: Annotated[
         str, typer.Argument(help="A scenario that comes with sitl-fakes, or a scenario file (TOML).", metavar="SCENARIO")
     ],
-    seed: Annotated[int, typer.Option(help="Seed of the flight (wind and the aircraft's own errors).")] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of the flight (wind and the aircraft's own errors).", min=0)] = 1,
     peer_sigma: Annotated[
         float, typer.Option(help="1-sigma of each peer's position, m, new in every range; 0 is the least.")
     ] = 0.0,
@@ -124,7 +124,7 @@ def integrity(
     classes: Annotated[list[str] | None, typer.Option("--class", help="A class of flights; several times for several.")] = None,
     seeds: Annotated[int | None, typer.Option(help="Flights of each class; 2 where neither this nor --hours is stated.")] = None,
     hours: Annotated[float | None, typer.Option(help="Hours under aid in all classes together, instead of --seeds.")] = None,
-    first_seed: Annotated[int, typer.Option(help="Seed of the first flight of each class.")] = 1,
+    first_seed: Annotated[int, typer.Option(help="Seed of the first flight of each class.", min=0)] = 1,
     jobs: JobsOption = 0,
     scheduler: SchedulerOption = None,
     estimator: Annotated[str, typer.Option(help="fleet, qu_zhang, or a plug-in.")] = "fleet",
@@ -180,7 +180,7 @@ def integrity(
 def planning(
     plans: Annotated[list[str] | None, typer.Option("--plan", help="A plan of the check; several times for several.")] = None,
     flights: Annotated[int, typer.Option(help="Drawn flights of each plan.", min=1)] = 20,
-    first_seed: Annotated[int, typer.Option(help="Seed of the first flight of each plan.")] = 1,
+    first_seed: Annotated[int, typer.Option(help="Seed of the first flight of each plan.", min=0)] = 1,
     jobs: JobsOption = 0,
     scheduler: SchedulerOption = None,
     resume: ResumeOption = None,
@@ -217,7 +217,7 @@ def readiness(
         list[str] | None, typer.Option(help="A recording (tlog), its tables beside it; several times for several.")
     ] = None,
     seeds: Annotated[int, typer.Option(help="Flights of each class, and losses in each recording.", min=1)] = 5,
-    first_seed: Annotated[int, typer.Option(help="Seed of the first flight of each class.")] = 1,
+    first_seed: Annotated[int, typer.Option(help="Seed of the first flight of each class.", min=0)] = 1,
     from_s: Annotated[
         float, typer.Option("--from", help="In a recording GPS is taken within 10 s from here, s.", min=0.0)
     ] = 12.0,

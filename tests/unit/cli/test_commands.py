@@ -174,3 +174,29 @@ def test_what_a_process_for_each_fleet_cannot_be_told_is_one_clear_line(per_flee
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert words in line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("study", "bound", "paper", "--seed", "-1"), "'--seed'"),
+        (("study", "demo", "--seed", "-1"), "'--seed'"),
+        (("study", "paper", "--first-seed", "-1"), "'--first-seed'"),
+        (("study", "integrity", "--first-seed", "-1"), "'--first-seed'"),
+        (("study", "planning", "--first-seed", "-1"), "'--first-seed'"),
+        (("study", "readiness", "--first-seed", "-1"), "'--first-seed'"),
+        (("import", "pyfg", "x.pyfg", "set", "--seed", "-1"), "'--seed'"),
+    ],
+)
+def test_a_seed_below_zero_is_told(arguments, told):
+    ended = gcs_coloc(*arguments)
+    assert ended.returncode == 2
+    assert f"Invalid value for {told}" in ended.stderr
+
+
+@pytest.mark.parametrize("option", ["--ranges", "--truth", "--config", "--fleet"])
+def test_calibrate_refuses_what_is_of_a_recording(data_set, option):
+    ended = gcs_coloc("calibrate", data_set, option, "absent")
+    assert ended.returncode == 2
+    assert f"{option}" in ended.stderr
+    assert "are of a recording" in ended.stderr
