@@ -97,7 +97,7 @@ class Engine:
         self.stations = Stations(s.stations, s.measurements.ranging_beacon_ids, sigmas_m)
         self.measurements = MeasurementBuilder(s.measurements, self.clocks)
         self.estimator = GuardedEstimator(estimator, self._report_estimator)
-        self.integrity = IntegrityMonitor(protection=s.integrity)
+        self.integrity = IntegrityMonitor(s.integrity)
         self.gps_health = FleetGpsHealth(s.gps_health)
         self.aiding = Aiding(s.aiding)
         stages = Stages(

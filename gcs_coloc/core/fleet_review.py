@@ -11,7 +11,7 @@ from math import inf
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.aiding.stream import AidingDecision, AidingView, FixInputs
 from gcs_coloc.core.dispatch import LastRound, Stages
-from gcs_coloc.core.gps_health.evidence import GpsEvidence, RangeContradiction
+from gcs_coloc.core.gps_health.evidence import GpsEvidence
 from gcs_coloc.core.gps_health.gps_health import DISTRUSTED, GpsState
 from gcs_coloc.core.integrity.protection_level import Exposure, ProtectionSettings
 from gcs_coloc.core.integrity.report import IntegrityReport, ReacquisitionStatus, ReviewedVehicle
@@ -262,13 +262,13 @@ class FleetReview:
     def _gps_evidence(self, vehicle: ReportedState) -> GpsEvidence:
         sysid = vehicle.sysid
         report = self.report
-        fault, status = report.faults.get(sysid), report.reacquisitions.get(sysid)
+        status = report.reacquisitions.get(sysid)
         return GpsEvidence(
             receiver=vehicle.receiver,
             integrity=vehicle.integrity,
             system=vehicle.system,
             ekf=vehicle.ekf,
-            contradiction=RangeContradiction(fault.text, fault.is_identified) if fault is not None else None,
+            contradiction=report.faults.get(sysid),
             is_return_contradicted=status is ReacquisitionStatus.CONTRADICTED,
             is_return_untested=status is ReacquisitionStatus.UNTESTED,
             is_aided=self.decision(sysid).is_aided,

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 from gcs_coloc.core.dispatch import Stages
 from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.core.gps_health.evidence import PositionFault
 from gcs_coloc.core.gps_health.gps_health import GpsState
-from gcs_coloc.core.integrity.report import IntegrityReport, PositionFault, ReviewedVehicle
+from gcs_coloc.core.integrity.report import IntegrityReport, ReviewedVehicle
 from gcs_coloc.core.measurements import Vector3
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.core.stations.node_id import node_name, station_id_of

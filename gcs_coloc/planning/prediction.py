@@ -17,9 +17,16 @@ import numpy as np
 
 from gcs_coloc.core.aiding.fix_policy import FixPolicy
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m, horizontal_dilution_of
-from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual, height_sigma_m
+from gcs_coloc.core.integrity.epoch_tests.epoch import (
+    COLOURED_SHARE,
+    RANGE_BIAS_M,
+    Epoch,
+    PositionPrior,
+    RangeResidual,
+    height_sigma_m,
+)
 from gcs_coloc.core.integrity.protection_level import VERTICAL_RATIO, Exposure, FaultLevel, fault_level, protection_level
-from gcs_coloc.core.integrity.range_residuals import RangeResidualSettings
+from gcs_coloc.core.integrity.range_residuals import WINDOW_S
 from gcs_coloc.core.integrity.solution_separation import SolutionSeparation
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
@@ -231,9 +238,9 @@ class _Recursion:
         at_s: float,
     ) -> None:
         """Adjust the ranges of the moment under all hypotheses of fault, as the integrity stage does."""
-        s, a = RangeResidualSettings(), self._a
-        count = max(a.range_rate_hz * s.window_s, 1.0)
-        noise_m = sqrt(a.range_sigma_m**2 * (_MEDIAN_VARIANCE_RATIO / count + s.errors.coloured_share))
+        a = self._a
+        count = max(a.range_rate_hz * WINDOW_S, 1.0)
+        noise_m = sqrt(a.range_sigma_m**2 * (_MEDIAN_VARIANCE_RATIO / count + COLOURED_SHARE))
         priors: dict[int, PositionPrior] = {}
         residuals: list[RangeResidual] = []
         for sysid, where in located.items():
@@ -245,7 +252,7 @@ class _Recursion:
                     continue
                 priors[sysid] = PositionPrior(here[sysid], 0.0, sigma_v_m, no_prior=True)
                 priors.setdefault(node, self._prior(node, located, here))
-                residuals.append(RangeResidual(sysid, node, 0.0, noise_m, s.errors.range_bias_m))
+                residuals.append(RangeResidual(sysid, node, 0.0, noise_m, RANGE_BIAS_M))
         separation = SolutionSeparation(Epoch(at_s, priors, tuple(residuals))) if residuals else None
         for sysid, where in located.items():
             if separation is not None and sysid in separation.vehicles:

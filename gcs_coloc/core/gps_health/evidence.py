@@ -6,11 +6,13 @@ It is what the vehicle's autopilot and receiver report, and what the service fin
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 from typing import TypeGuard
 
 from gcs_coloc.core.messages.control import GpsOverride
 from gcs_coloc.core.messages.inbound import EkfStatus, GpsReceiver, Interference, ReceiverIntegrity, SystemHealth
 from gcs_coloc.core.reasons import DUPLICATE_ID_WORDING, WordedReason
+from gcs_coloc.core.stations.node_id import node_name
 
 _INTEGRITY_FRESH_S = 5.0  # chosen: five periods of GNSS_INTEGRITY, which PX4 sends once a second
 
@@ -47,15 +49,34 @@ class GpsReason(WordedReason):
     RECOVERED_UNTESTED = "recovered_untested", "{detail}; nothing to hold it against"
 
 
-@dataclass(frozen=True, slots=True)
-class RangeContradiction:
-    """What the ranges say against a vehicle's GPS position, in words.
+class FaultReason(Enum):
+    """Why a vehicle's GPS position is not believed; the value is the wording for people."""
 
-    `is_identified`: the vehicle, and nobody else, is at fault.
+    CONTRADICTS_RANGES = "its GPS position contradicts the ranges to {others} by {size_m:.0f} m"
+    NOT_ISOLATED = "GPS positions and ranges contradict each other; the fault is in it or in {others}"
+    REACQUIRED_ELSEWHERE = "its GPS is back but {size_m:.0f} m from where the ranges put it"
+
+
+@dataclass(frozen=True, slots=True)
+class PositionFault:
+    """A fault of a vehicle's reported position.
+
+    `size_m` is its size in m. `others` are the vehicles whose ranges show it, or that may have it too.
     """
 
-    text: str
-    is_identified: bool
+    reason: FaultReason
+    size_m: float = 0.0
+    others: tuple[int, ...] = ()
+
+    @property
+    def is_identified(self) -> bool:
+        """Whether the fault is isolated to this vehicle, and not only detected."""
+        return self.reason is not FaultReason.NOT_ISOLATED
+
+    @property
+    def text(self) -> str:
+        """The fault in words."""
+        return self.reason.value.format(others=", ".join(map(node_name, self.others)) or "its ranges", size_m=self.size_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +94,7 @@ class GpsEvidence:
     integrity: ReceiverIntegrity | None = None
     system: SystemHealth | None = None
     ekf: EkfStatus | None = None
-    contradiction: RangeContradiction | None = None
+    contradiction: PositionFault | None = None
     is_return_contradicted: bool = False
     is_return_untested: bool = False
     is_aided: bool = False

@@ -31,46 +31,38 @@ import numpy as np
 
 from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius
 from gcs_coloc.core.measurements import FloatArray
-from gcs_coloc.core.setting_bounds import between, check_bounds, positive
 
 _UNKNOWN_M2 = 1e4  # 1-sigma of 100 m; chosen: far beyond any displacement that ranges allow
 _LOG_ZERO = -700.0  # log of a probability of zero; exp of less underflows at -745
 _SIZE, _RATE = -2, -1
 _MAX_EXTRAPOLATION = 3.0  # chosen: a fault's effect is at most trebled since the last ranges
 
-
-@dataclass(frozen=True, slots=True)
-class FaultFilterSettings:
-    """The stochastic model of faults, fault-free errors and ranges."""
-
-    correlation_time_s: float = positive(30.0)
-    """Of a fault-free position error, s. Source: errors of GNSS positions are correlated for half a minute to minutes."""
-    onset_rate_per_s: float = positive(1.0 / 600.0, most=1.0)
-    """Rate at which a peer's fault begins, 1/s. Chosen: one in ten minutes, far oftener than in truth: it is looked for."""
-    end_rate_per_s: float = positive(1.0 / 3600.0, most=1.0)
-    """Rate at which a fault ends, 1/s. Chosen: it lasts for an hour; what ended is found by its ranges."""
-    onset_sigma_m: float = positive(1.0)
-    """1-sigma of a beginning fault's size along the line of sight, m. Chosen: a ramp begins small; a step is found at once."""
-    onset_rate_sigma_mps: float = positive(1.5)
-    """1-sigma of a beginning fault's rate along the line of sight, m/s. Chosen: spoofers draw off at 0.2 to 5 m/s."""
-    rate_density_m2ps3: float = positive(0.1)
-    """Power spectral density of the change of that rate, m²/s³. Chosen: it changes by 1 m/s within ten seconds."""
-    displacement_density_m2ps: float = positive(4.0)
-    """That of the vehicle's displacement by a fault, m²/s. Chosen: 2 m in a second, as fast as ranges carry an estimate off."""
-    reset_after_steps: int = between(3, 1)
-    """After so many steps in a row in which a filter explains less than half of the peers' residuals its displacement is unknown
-    again. Chosen: one or two are outliers."""
-    huber_sigma: float = positive(1.5)
-    """From so many sigmas on an innovation has bounded influence. Source: Huber's usual constant, 1.345 to 1.5."""
-    gate_sigma: float = positive(3.0)
-    """From so many sigmas on it has none. Chosen: one in 370 Gaussian ones."""
-    noise_time_s: float = positive(15.0)
-    """Averaging time of the inflation of the measurement noise, s. Chosen: half of `correlation_time_s`."""
-    max_step_s: float = positive(3.0)
-    """A peer without ranges for longer leaves the filters, s. Chosen: three windows of residuals."""
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
+# The stochastic model of faults, fault-free errors and ranges.
+_CORRELATION_TIME_S = 30.0
+"""Of a fault-free position error, s. Source: errors of GNSS positions are correlated for half a minute to minutes."""
+_ONSET_RATE_PER_S = 1.0 / 600.0
+"""Rate at which a peer's fault begins, 1/s. Chosen: one in ten minutes, far oftener than in truth: it is looked for."""
+_END_RATE_PER_S = 1.0 / 3600.0
+"""Rate at which a fault ends, 1/s. Chosen: it lasts for an hour; what ended is found by its ranges."""
+_ONSET_SIGMA_M = 1.0
+"""1-sigma of a beginning fault's size along the line of sight, m. Chosen: a ramp begins small; a step is found at once."""
+_ONSET_RATE_SIGMA_MPS = 1.5
+"""1-sigma of a beginning fault's rate along the line of sight, m/s. Chosen: spoofers draw off at 0.2 to 5 m/s."""
+_RATE_DENSITY_M2PS3 = 0.1
+"""Power spectral density of the change of that rate, m²/s³. Chosen: it changes by 1 m/s within ten seconds."""
+_DISPLACEMENT_DENSITY_M2PS = 4.0
+"""That of the vehicle's displacement by a fault, m²/s. Chosen: 2 m in a second, as fast as ranges carry an estimate off."""
+_RESET_AFTER_STEPS = 3
+"""After so many steps in a row in which a filter explains less than half of the peers' residuals its displacement is unknown
+again. Chosen: one or two are outliers."""
+_HUBER_SIGMA = 1.5
+"""From so many sigmas on an innovation has bounded influence. Source: Huber's usual constant, 1.345 to 1.5."""
+_GATE_SIGMA = 3.0
+"""From so many sigmas on it has none. Chosen: one in 370 Gaussian ones."""
+_NOISE_TIME_S = 15.0
+"""Averaging time of the inflation of the measurement noise, s. Chosen: half of `_CORRELATION_TIME_S`."""
+_MAX_STEP_S = 3.0
+"""A peer without ranges for longer leaves the filters, s. Chosen: three windows of residuals."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,8 +99,7 @@ class FaultFilters:
     Their order is: nobody faulty, each of `peers`, the vehicle's own device.
     """
 
-    def __init__(self, settings: FaultFilterSettings | None = None) -> None:
-        self.settings = settings if settings is not None else FaultFilterSettings()
+    def __init__(self) -> None:
         self.at_s = float("-inf")
         self.peers: list[int] = []
         self._position_sigma_m: dict[int, float] = {}
@@ -134,27 +125,26 @@ class FaultFilters:
 
     def update(self, residuals: Mapping[int, LineOfSightResidual], at_s: float) -> None:
         """Update with the residuals of one step, by peer. Times increase from call to call."""
-        s = self.settings
         for peer, residual in residuals.items():
             self._updated_s[peer], self._position_sigma_m[peer] = at_s, residual.position_sigma_m
         peers = sorted(self.staying(at_s))
         if peers != self.peers:
             self._regroup(peers)
-        step_s = min(at_s - self.at_s, s.max_step_s)
+        step_s = min(at_s - self.at_s, _MAX_STEP_S)
         self.at_s = at_s
         self._predict(step_s)
         self._mix(step_s)
         H, z = self._design(residuals), [residual.residual_m for residual in residuals.values()]
         r = [residual.noise_m**2 * max(self._noise.setdefault(peer, 1.0), 1.0) for peer, residual in residuals.items()]
         self._reset_diverged(H, z, r)
-        gain = 1.0 - exp(-step_s / s.noise_time_s)
+        gain = 1.0 - exp(-step_s / _NOISE_TIME_S)
         for k, peer in enumerate(residuals):
             self._noise[peer] *= 1.0 - gain + gain * self._correct(H[:, k], z[k], r[k])
         self._log_probability = _normalise(self._log_probability)
 
     def staying(self, at_s: float) -> list[int]:
         """Return the peers whose ranges are recent enough that they stay in the filters at a time."""
-        return [p for p, updated_s in self._updated_s.items() if at_s - updated_s <= self.settings.max_step_s]
+        return [p for p, updated_s in self._updated_s.items() if at_s - updated_s <= _MAX_STEP_S]
 
     def retain(self, peers: Collection[int]) -> None:
         """Let all other peers leave the filters with the next update."""
@@ -215,27 +205,27 @@ class FaultFilters:
         self._log_probability = _normalise(self._log_probability)
 
     def _predict(self, step_s: float) -> None:
-        s, A = self.settings, self._A
+        A = self._A
         models, _, size = A.shape
-        correlation = exp(-step_s / s.correlation_time_s)
+        correlation = exp(-step_s / _CORRELATION_TIME_S)
         transition = [1.0, 1.0, *[correlation] * len(self.peers), 1.0, 1.0]
         A *= np.outer([1.0, *transition], transition)
         A[:, :, _SIZE] += step_s * A[:, :, _RATE]
         A[:, _SIZE] += step_s * A[:, _RATE]
-        displacement_m2, fresh = s.displacement_density_m2ps * step_s, 1.0 - correlation * correlation
+        displacement_m2, fresh = _DISPLACEMENT_DENSITY_M2PS * step_s, 1.0 - correlation * correlation
         variances = A.reshape(models, -1)[:, size :: size + 1]
         variances += [displacement_m2, displacement_m2, *[self._position_sigma_m[p] ** 2 * fresh for p in self.peers], 0.0, 0.0]
-        variances[1:, _RATE] += s.rate_density_m2ps3 * step_s
+        variances[1:, _RATE] += _RATE_DENSITY_M2PS3 * step_s
 
     def _mix(self, step_s: float) -> None:
         """Mix each fault's filter with the one without fault, as a fault may begin or end in this step."""
-        s, smallest = self.settings, exp(_LOG_ZERO)
+        smallest = exp(_LOG_ZERO)
         no_fault, *faults = map(exp, self._log_probability)
         # One of them begins: all onsets together are no more than there is.
-        onset = no_fault * (1.0 - exp(-s.onset_rate_per_s * step_s * len(faults))) / len(faults)
-        continuing = [probability * exp(-s.end_rate_per_s * step_s) for probability in faults]
+        onset = no_fault * (1.0 - exp(-_ONSET_RATE_PER_S * step_s * len(faults))) / len(faults)
+        continuing = [probability * exp(-_END_RATE_PER_S * step_s) for probability in faults]
         fresh = self._A[0].copy()
-        fresh[_SIZE, _SIZE], fresh[_RATE, _RATE] = s.onset_sigma_m**2, s.onset_rate_sigma_mps**2
+        fresh[_SIZE, _SIZE], fresh[_RATE, _RATE] = _ONSET_SIGMA_M**2, _ONSET_RATE_SIGMA_MPS**2
         share = np.array([onset / max(onset + probability, smallest) for probability in continuing])[:, np.newaxis, np.newaxis]
         merged = self._A[1:]
         off = fresh - merged
@@ -267,10 +257,10 @@ class FaultFilters:
         columns = H.transpose(0, 2, 1)
         predicted = self._A @ columns
         variance = (columns * predicted[:, 1:]).sum(axis=1) + r
-        beyond = ((z - predicted[:, 0]) ** 2 > self.settings.gate_sigma**2 * variance).sum(axis=1).tolist()
+        beyond = ((z - predicted[:, 0]) ** 2 > _GATE_SIGMA**2 * variance).sum(axis=1).tolist()
         self._outlier_steps = [steps + 1 if 2 * n > len(z) else 0 for steps, n in zip(self._outlier_steps, beyond, strict=True)]
         for m, steps in enumerate(self._outlier_steps):
-            if steps >= self.settings.reset_after_steps:
+            if steps >= _RESET_AFTER_STEPS:
                 self._covariances[m, :2] = self._covariances[m, :, :2] = 0.0
                 self._covariances[m, [0, 1], [0, 1]] = _UNKNOWN_M2
 
@@ -279,17 +269,17 @@ class FaultFilters:
 
         Return the mean normalised innovation squared of the filters, weighted with their probabilities.
         """
-        s, log_probability = self.settings, self._log_probability
+        log_probability = self._log_probability
         Ah = self._A @ h[:, :, np.newaxis]
         Ph = Ah[:, np.newaxis, 1:, 0]
         predicted_m, predicted_m2 = Ah[:, 0, 0].tolist(), (Ph @ h[:, :, np.newaxis])[:, 0, 0].tolist()
         weights, squares = [], []
         for m in range(len(log_probability)):
             variance = max(predicted_m2[m], 0.0) + r
-            sigmas = min(abs(z - predicted_m[m]) / sqrt(variance), s.gate_sigma)
-            inner = min(sigmas, s.huber_sigma)
+            sigmas = min(abs(z - predicted_m[m]) / sqrt(variance), _GATE_SIGMA)
+            inner = min(sigmas, _HUBER_SIGMA)
             # Huber's weight, zero beyond the gate.
-            weights.append(s.huber_sigma / max(sigmas, s.huber_sigma) / variance if sigmas < s.gate_sigma else 0.0)
+            weights.append(_HUBER_SIGMA / max(sigmas, _HUBER_SIGMA) / variance if sigmas < _GATE_SIGMA else 0.0)
             squares.append(sigmas * sigmas)
             log_probability[m] -= inner * (sigmas - 0.5 * inner) + 0.5 * log(2.0 * pi * variance)
         Ah[:, 0] -= z

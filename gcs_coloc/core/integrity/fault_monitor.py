@@ -9,47 +9,34 @@ hypotheses.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import hypot, sqrt
 from statistics import median
 
 import numpy as np
 
-from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior
+from gcs_coloc.core.integrity.epoch_tests.epoch import COLOURED_SHARE, RANGE_BIAS_M, Epoch, PositionPrior
 from gcs_coloc.core.integrity.epoch_tests.noise_model import AS_STATED, NoiseModel
 from gcs_coloc.core.integrity.epoch_tests.pair_outliers import Pair
-from gcs_coloc.core.integrity.fault_filters import FaultFilters, FaultFilterSettings, LineOfSightResidual
-from gcs_coloc.core.integrity.range_errors import RangeErrorSettings
+from gcs_coloc.core.integrity.fault_filters import FaultFilters, LineOfSightResidual
 from gcs_coloc.core.measurements import FloatArray, RangeMeasurement, Vector3
-from gcs_coloc.core.setting_bounds import between, check_bounds, positive
 
 _MIN_DISTANCE_M = 1.0  # below it the direction of a range is noise
 _MAX_PEERS = 8  # chosen: bounds the number of filters of one vehicle
 _EXPECTED_STEP_S, _EXPECTED_STEPS = 3.0, 5
 """Steps of an expected separation. Chosen: it is settled after 12 s; in 15 flights it came to 0.5 to 1.7 of the mean of those
 that were found, 1.1 in the median."""
+_FULL_WEIGHT_PROBABILITY = 0.1
+"""A fault this likely counts in full in the covariance, a less likely one in proportion. Chosen: a 95 % bound may leave out what
+is less than 5 % likely; here half of that counts."""
+_MIN_NO_FAULT_PROBABILITY = 1e-4
+"""Below this probability that nobody is faulty the likeliest vehicles are detected. Chosen: a false detection takes anchors away,
+so it is to be rare."""
+_MAX_MISSED_PROBABILITY = 0.01
+"""So many are detected that all others together are less likely than this. Chosen: one detection in a hundred may miss."""
+_MIN_PEERS = 3
+"""With fewer peers nothing is tested. Source: a place has two unknowns; two ranges leave no redundancy."""
 _FORGET_AFTER_S = 30.0  # chosen: the correlation time of a fault-free position error
-
-
-@dataclass(frozen=True, slots=True)
-class FaultMonitorSettings:
-    """From which probability on hypotheses have consequences."""
-
-    full_weight_probability: float = positive(0.1, most=1.0)
-    """A fault this likely counts in full in the covariance, a less likely one in proportion. Chosen: a 95 % bound may leave out
-    what is less than 5 % likely; here half of that counts."""
-    min_no_fault_probability: float = between(1e-4, 0.0, 1.0)
-    """Below this probability that nobody is faulty the likeliest vehicles are detected. Chosen: a false detection takes
-    anchors away, so it is to be rare."""
-    max_missed_probability: float = between(0.01, 0.0, 1.0)
-    """So many are detected that all others together are less likely than this. Chosen: one detection in a hundred may miss."""
-    min_peers: int = between(3, 2)
-    """With fewer peers nothing is tested. Source: a place has two unknowns; two ranges leave no redundancy."""
-    filters: FaultFilterSettings = field(default_factory=FaultFilterSettings)
-    """Of the fault filters of each denied vehicle."""
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
 
 @dataclass(slots=True)
@@ -72,9 +59,7 @@ class FaultMonitor:
     Add ranges with the priors of both ends, then call `step`.
     """
 
-    def __init__(self, settings: FaultMonitorSettings | None = None, errors: RangeErrorSettings | None = None) -> None:
-        self.settings = settings if settings is not None else FaultMonitorSettings()
-        self._errors = errors if errors is not None else RangeErrorSettings()
+    def __init__(self) -> None:
         self._filters: dict[int, FaultFilters] = {}
         self._ranges: dict[int, dict[int, _PeerRanges]] = {}
 
@@ -104,7 +89,7 @@ class FaultMonitor:
         be than they state. Of more than `_MAX_PEERS` peers those of the `tested` pairs come first: they locate the vehicle.
         """
         for vehicle, by_peer in self._ranges.items():
-            filters = self._filters.setdefault(vehicle, FaultFilters(self.settings.filters))
+            filters = self._filters.setdefault(vehicle, FaultFilters())
             filters.exclude(excluded)
             staying = filters.staying(at_s)
             of_tests = {b if a == vehicle else a for a, b in tested if vehicle in (a, b)}
@@ -132,46 +117,44 @@ class FaultMonitor:
 
         It is the second moment of the vehicle's displacement over all faults, each with its weight.
         """
-        return {vehicle: _separation_m2(filters, now_s, self.settings) for vehicle, filters in self._redundant()}
+        return {vehicle: _separation_m2(filters, now_s) for vehicle, filters in self._redundant()}
 
     def detected(self) -> frozenset[int]:
         """Return the vehicles one of which is faulty; an empty set where no fault is detected.
 
         A denied vehicle whose own ranging device is the likeliest cause adds none.
         """
-        s, detected = self.settings, set[int]()
+        detected = set[int]()
         for _, filters in self._redundant():
             probabilities = filters.probabilities()
-            if sum(probability for _, probability in probabilities) < 1.0 - s.min_no_fault_probability:
+            if sum(probability for _, probability in probabilities) < 1.0 - _MIN_NO_FAULT_PROBABILITY:
                 continue
             left = 1.0
             for faulty, probability in sorted(probabilities, key=lambda each: -each[1]):
-                if left < s.max_missed_probability or (faulty is None and left == 1.0):
+                if left < _MAX_MISSED_PROBABILITY or (faulty is None and left == 1.0):
                     break
                 left -= probability
                 detected |= {faulty} if faulty is not None else set()
         return frozenset(detected)
 
     def _redundant(self) -> Iterable[tuple[int, FaultFilters]]:
-        min_peers = self.settings.min_peers
-        return ((vehicle, filters) for vehicle, filters in self._filters.items() if len(filters.peers) >= min_peers)
+        return ((vehicle, filters) for vehicle, filters in self._filters.items() if len(filters.peers) >= _MIN_PEERS)
 
     def _residual(self, r: _PeerRanges, noise: NoiseModel) -> LineOfSightResidual:
         count = len(r.residuals_m)
-        coloured = self._errors.coloured_share * (1.0 - 1.0 / count)
+        coloured = COLOURED_SHARE * (1.0 - 1.0 / count)
         noise_m = median(r.sigmas_m) * sqrt(1.0 / count + coloured)
-        bias_m = hypot(self._errors.range_bias_m, noise.lasting_m(hypot(*r.baseline_m)))
+        bias_m = hypot(RANGE_BIAS_M, noise.lasting_m(hypot(*r.baseline_m)))
         unit, position_sigma_m = _line_of_sight(r.baseline_m, noise.prior(r.peer_prior), r.own_sigma_v_m, bias_m)
         return LineOfSightResidual(median(r.residuals_m), noise_m, position_sigma_m, unit)
 
 
-def expected_separation_m2(epoch: Epoch, vehicle: int, settings: FaultMonitorSettings | None = None) -> FloatArray | None:
+def expected_separation_m2(epoch: Epoch, vehicle: int) -> FloatArray | None:
     """Return the solution separation (2, 2) that is expected of a vehicle without prior, m^2.
 
     It is expected where no fault and no noise has moved the vehicle: faults that the ranges have not ruled out yet still count.
     The geometry is that of an epoch, for some time. None where there are too few peers for redundancy.
     """
-    s = settings if settings is not None else FaultMonitorSettings()
     residuals: dict[int, LineOfSightResidual] = {}
     for residual in epoch.residuals:
         peer = residual.to_vehicle if residual.from_vehicle == vehicle else residual.from_vehicle
@@ -182,19 +165,19 @@ def expected_separation_m2(epoch: Epoch, vehicle: int, settings: FaultMonitorSet
             bias_m = hypot(residual.bias_m, residual.devices_m)
             unit, position_sigma_m = _line_of_sight(baseline_m, prior, own.sigma_v_m, bias_m)
             residuals[peer] = LineOfSightResidual(0.0, residual.sigma_m, position_sigma_m, unit)
-    if len(residuals) < s.min_peers:
+    if len(residuals) < _MIN_PEERS:
         return None
-    filters = FaultFilters(s.filters)
+    filters = FaultFilters()
     for step in range(_EXPECTED_STEPS):
         filters.update(residuals, step * _EXPECTED_STEP_S)
-    return _separation_m2(filters, filters.at_s, s)
+    return _separation_m2(filters, filters.at_s)
 
 
-def _separation_m2(filters: FaultFilters, now_s: float, s: FaultMonitorSettings) -> FloatArray:
+def _separation_m2(filters: FaultFilters, now_s: float) -> FloatArray:
     """Return the second moment (2, 2) of the displacement over all weighted faults, m^2."""
     sum_ee = sum_en = sum_nn = 0.0
     for h in filters.hypotheses(now_s):
-        weight, (ee, en, nn) = min(h.probability / s.full_weight_probability, 1.0), h.separation_m2
+        weight, (ee, en, nn) = min(h.probability / _FULL_WEIGHT_PROBABILITY, 1.0), h.separation_m2
         sum_ee, sum_en, sum_nn = sum_ee + weight * ee, sum_en + weight * en, sum_nn + weight * nn
     return np.array([[sum_ee, sum_en], [sum_en, sum_nn]])
 

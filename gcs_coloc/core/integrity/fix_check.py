@@ -19,7 +19,7 @@ import numpy as np
 from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius, horizontal_sigma_m
 from gcs_coloc.core.integrity.epoch_tests.adjustment import Adjustment, adjust
 from gcs_coloc.core.integrity.epoch_tests.epoch import MIN_INFORMATION_PER_M2, Epoch, Past
-from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels, chi2_limit, run_test
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import REST_LEVEL, chi2_limit, run_test
 from gcs_coloc.core.integrity.epoch_tests.isolation import isolate
 from gcs_coloc.core.measurements import Estimate, FloatArray, PositionMeasurement
 
@@ -63,7 +63,6 @@ def check_fix(
     estimate: Estimate | None,
     epoch: Epoch,
     pasts: Mapping[float, Past],
-    levels: SignificanceLevels,
     suspects: Collection[int] = (),
 ) -> FixCheck:
     """Test a fix against the estimate and against the ranges.
@@ -73,20 +72,19 @@ def check_fix(
         estimate: the vehicle's position from ranges, near the fix in time; None where it is no fit reference.
         epoch: the vehicle with the fix as its prior, and its residuals to trusted peers: its `star`.
         pasts: the earlier epochs to compare it with, by interval; none for 0.
-        levels: significance levels of the tests.
         suspects: the vehicles of which something bad is known; that of the fix is one in any case.
     """
     difference_m = _difference_m(fix, estimate) if estimate is not None else None
     offset_m = float(np.hypot(*difference_m)) if difference_m is not None else None
     fits = adjust(epoch, list(pasts.values())) if epoch.residuals else []
-    results = [run_test(fit, levels) if fit.residuals else None for fit in fits]
+    results = [run_test(fit) if fit.residuals else None for fit in fits]
     present = results[0] if results else None
-    fitting = present is not None and _agrees(fits[0], fix.vehicle, levels)
+    fitting = present is not None and _agrees(fits[0], fix.vehicle)
     unresolved = False
     for number, (result, past) in enumerate(zip(results, pasts.values(), strict=False)):
         if result is None or result.is_consistent:
             continue
-        isolation = isolate(epoch, past, levels, troubled=(fix.vehicle, *suspects))
+        isolation = isolate(epoch, past, troubled=(fix.vehicle, *suspects))
         is_possible = fix.vehicle in (isolation.possible if isolation.plausible else result.suspects)
         if number == 0:
             fitting = not is_possible
@@ -110,7 +108,7 @@ def check_fix(
             finding = FixConsistency.UNRESOLVED if unresolved else FixConsistency.AGREES
             return FixCheck(finding, offset_m, inf, ranged=bool(fits), fits_now=fitting)
         known_m = min(known_m, horizontal_sigma_m(estimate.covariance))
-        unresolved |= is_range_based and not ranges_decide and distance > chi2_limit(2, levels.rest)
+        unresolved |= is_range_based and not ranges_decide and distance > chi2_limit(2, REST_LEVEL)
     # Too little for an alarm may be too much for a receiver to be believed again.
     if unresolved or (present is not None and present.is_consistent and not fitting):
         return FixCheck(FixConsistency.UNRESOLVED, offset_m, inf, ranged=bool(fits), fits_now=fitting)
@@ -118,12 +116,12 @@ def check_fix(
     return FixCheck(finding, offset_m, known_m, ranged=bool(fits), fits_now=fitting, ranges_know_m=ranges_know_m)
 
 
-def fits_alone(epoch: Epoch, vehicle: int, levels: SignificanceLevels) -> bool:
+def fits_alone(epoch: Epoch, vehicle: int) -> bool:
     """Return whether the ranges of one epoch fit a vehicle's position; True where there are none."""
     if not epoch.residuals:
         return True
     (fit,) = adjust(epoch, [(None, 0.0)])
-    return _agrees(fit, vehicle, levels)
+    return _agrees(fit, vehicle)
 
 
 def star(epoch: Epoch, vehicle: int, peers: Container[int]) -> Epoch:
@@ -153,7 +151,7 @@ def _squared_distance(difference_m: FloatArray, fix: PositionMeasurement, estima
     return float(difference_m @ np.linalg.solve(covariance, difference_m))
 
 
-def _agrees(fit: Adjustment, vehicle: int, levels: SignificanceLevels) -> bool:
+def _agrees(fit: Adjustment, vehicle: int) -> bool:
     """Return whether the ranges fit the vehicle's position, where nothing else contradicts them."""
     gain, rank = fit.position_gain(vehicle)
-    return not rank or gain <= chi2_limit(rank, levels.rest)
+    return not rank or gain <= chi2_limit(rank, REST_LEVEL)

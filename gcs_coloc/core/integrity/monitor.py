@@ -14,7 +14,8 @@ from dataclasses import replace
 
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.geodesy import LocalFrame
-from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, height_sigma_m
+from gcs_coloc.core.gps_health.evidence import FaultReason, PositionFault
+from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch
 from gcs_coloc.core.integrity.protection_level import (
     Exposure,
     FaultLevel,
@@ -22,10 +23,10 @@ from gcs_coloc.core.integrity.protection_level import (
     fault_level,
     protection_level,
 )
-from gcs_coloc.core.integrity.range_consistency import ConsistencySettings, RangeConsistency
+from gcs_coloc.core.integrity.range_consistency import RangeConsistency
 from gcs_coloc.core.integrity.range_residuals import TrackPoint
 from gcs_coloc.core.integrity.reacquisition import ReacquisitionMonitor
-from gcs_coloc.core.integrity.report import FaultReason, IntegrityReport, PositionFault, ReviewedVehicle
+from gcs_coloc.core.integrity.report import IntegrityReport, ReviewedVehicle
 from gcs_coloc.core.integrity.solution_separation import SolutionSeparation, range_excess_m2
 from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeasurement, Residual
 from gcs_coloc.core.stations.node_id import is_station
@@ -36,11 +37,11 @@ _STATION_RIGHT_S = 60.0  # chosen: nothing moves a station back; ranges that fit
 class IntegrityMonitor:
     """Detects, isolates and bounds faults of reported positions. Call `review` several times a second."""
 
-    def __init__(self, settings: ConsistencySettings | None = None, protection: ProtectionSettings | None = None) -> None:
+    def __init__(self, protection: ProtectionSettings | None = None) -> None:
         self._protection = protection if protection is not None else ProtectionSettings()
         self._fault_levels: dict[int, FaultLevel] = {}
-        self._consistency = RangeConsistency(settings)
-        self._reacquisition = ReacquisitionMonitor(self._consistency.settings)
+        self._consistency = RangeConsistency()
+        self._reacquisition = ReacquisitionMonitor()
         self._right_since_s: dict[int, float] = {}
 
     def forget(self, sysid: int) -> None:
@@ -54,17 +55,9 @@ class IntegrityMonitor:
 
         A position without a velocity is ignored, and so is that of a vehicle identified as faulty until it is readmitted.
         """
-        if position.velocity_enu_mps is None or position.vehicle in self._consistency.identified:
-            return
-        track = TrackPoint(
-            position.measured_at_s,
-            position.position_enu_m,
-            position.velocity_enu_mps,
-            position.sigma_h_m,
-            position.sigma_v_m,
-            no_prior=False,
-        )
-        self._consistency.add_position(position.vehicle, track)
+        point = TrackPoint.of_report(position)
+        if point is not None and position.vehicle not in self._consistency.identified:
+            self._consistency.residuals.add_position(position.vehicle, point)
 
     def has_identified(self, node: int) -> bool:
         """Return whether the position of a vehicle or station is identified as faulty, and not readmitted yet."""
@@ -72,14 +65,14 @@ class IntegrityMonitor:
 
     def add_range(self, measurement: RangeMeasurement) -> None:
         """Add a range between two vehicles, or a vehicle and a station."""
-        self._consistency.add_range(measurement)
+        self._consistency.residuals.add_range(measurement)
         self._reacquisition.add_range(measurement)
 
     def add_residuals(self, residuals: Iterable[Residual]) -> None:
         """Add what the estimator made of ranges: those that it selects are tested before others."""
         for residual in residuals:
             if residual.to_vehicle is not None:
-                self._consistency.add_selected((residual.from_vehicle, residual.to_vehicle), residual.measured_at_s)
+                self._consistency.residuals.add_selected((residual.from_vehicle, residual.to_vehicle), residual.measured_at_s)
 
     def review(self, now_s: float, vehicles: Sequence[ReviewedVehicle], frame: LocalFrame | None) -> IntegrityReport:
         """Test what was added up to now (service time, s). Without a frame there is no position to test."""
@@ -100,7 +93,7 @@ class IntegrityMonitor:
                 self._right_since_s.pop(sysid, None)
             elif now_s - self._right_since_s.setdefault(sysid, now_s) >= (_STATION_RIGHT_S if is_station(sysid) else 0.0):
                 del self._right_since_s[sysid]
-                self._consistency.readmit(sysid)
+                del self._consistency.identified[sysid]
         sysids = [vehicle.sysid for vehicle in vehicles]
         faults = {sysid: fault for sysid in sysids if (fault := self._fault(sysid)) is not None}
         return replace(
@@ -138,7 +131,7 @@ class IntegrityMonitor:
         levels: dict[int, FaultLevel] = {}
         also = self._consistency.also
         for sysid, where in located:
-            ranged_at_s = self._consistency.ranged_at_s(sysid)
+            ranged_at_s = self._consistency.residuals.ranged_at_s(sysid)
             if separation is not None and ranged_at_s is not None and sysid in separation.vehicles:
                 levels[sysid] = fault_level(separation.of(sysid), where, ranged_at_s, self._protection, also)
             else:
@@ -154,17 +147,13 @@ class IntegrityMonitor:
         """
         where = vehicle.estimate
         if where is None:
-            self._consistency.drop(vehicle.sysid)
+            self._consistency.residuals.drop(vehicle.sysid)
             return
-        sigma_v_m = height_sigma_m(where.covariance)
-        (e, n, u), (ve, vn, vu) = where.position_enu_m.tolist(), where.velocity_enu_mps.tolist()
-        track = TrackPoint(now_s, (e, n, u), (ve, vn, vu), 0.0, sigma_v_m, no_prior=True)
-        self._consistency.add_position(vehicle.sysid, track)
+        point = TrackPoint.of_estimate(where, now_s, 0.0, no_prior=True)
+        self._consistency.residuals.add_position(vehicle.sysid, point)
 
     def _fault(self, sysid: int) -> PositionFault | None:
         identified = self._consistency.identified.get(sysid)
-        if identified is not None:
-            return PositionFault(FaultReason.CONTRADICTS_RANGES, identified.size_m, identified.peers)
-        if sysid in self._consistency.detected:
+        if identified is None and sysid in self._consistency.detected:
             return PositionFault(FaultReason.NOT_ISOLATED, others=tuple(sorted(self._consistency.detected - {sysid})))
-        return None
+        return identified

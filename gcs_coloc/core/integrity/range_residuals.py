@@ -14,13 +14,28 @@ from math import dist, sqrt
 from statistics import median
 from typing import NamedTuple
 
-from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual
+from gcs_coloc.core.integrity.epoch_tests.epoch import (
+    COLOURED_SHARE,
+    RANGE_BIAS_M,
+    Epoch,
+    PositionPrior,
+    RangeResidual,
+    height_sigma_m,
+)
 from gcs_coloc.core.integrity.epoch_tests.pair_outliers import Pair
 from gcs_coloc.core.integrity.fault_monitor import FaultMonitor
-from gcs_coloc.core.integrity.range_errors import RangeErrorSettings
-from gcs_coloc.core.measurements import RangeMeasurement, Vector3
-from gcs_coloc.core.setting_bounds import between, check_bounds, positive
+from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeasurement, Vector3
 
+WINDOW_S = 1.0
+"""A residual uses the ranges of so long, if these are `_ENOUGH_RANGES`. Chosen: five ranges at 5 Hz."""
+_MAX_WINDOW_S = 1.4
+"""Else those of so long. Chosen: five ranges at 5 Hz, of which one or two were lost."""
+WAIT_S = 0.2
+"""An epoch ends so long ago: positions need that time to arrive. Chosen: one period of reports at 5 Hz."""
+_ENOUGH_RANGES = 5  # chosen: the median of five bears two outliers
+_MIN_RANGES = 3  # chosen: the median of three bears one outlier; with fewer there is no residual
+_SPARSE_WINDOW_S = 3.0
+"""A sparse epoch takes any range of so long. Chosen: pairs that are ranged every second or two."""
 _MAX_POINTS = 64  # of a track: six seconds at 10 Hz
 _MAX_SAMPLES = 64  # of a pair
 _MAX_PENDING = 20_000  # chosen: bounds the memory of a flood
@@ -30,29 +45,6 @@ _SELECTED_S = 5.0  # chosen: an estimator that changes its peers every two secon
 _MIN_DISTANCE_M = 1.0  # below it the direction of a range is noise
 _MEDIAN_VARIANCE_RATIO = 1.57  # pi / 2: variance of a Gaussian sample's median over that of its mean
 _QUARTILE_DISTANCE_SIGMAS = 1.35  # distance of a Gaussian's quartiles, in sigmas
-
-
-@dataclass(frozen=True, slots=True)
-class RangeResidualSettings:
-    """How ranges become residuals."""
-
-    window_s: float = positive(1.0, most=60.0)
-    """A residual uses the ranges of so long, s, if these are `enough_ranges`. Chosen: five ranges at 5 Hz."""
-    max_window_s: float = positive(1.4, most=60.0)
-    """Else those of so long, s. Chosen: five ranges at 5 Hz, of which one or two were lost."""
-    wait_s: float = between(0.2, 0.0, 10.0)
-    """An epoch ends so long ago, s: positions need that time to arrive. Chosen: one period of reports at 5 Hz."""
-    enough_ranges: int = between(5, 1)
-    """Chosen: the median of five bears two outliers."""
-    min_ranges: int = between(3, 1)
-    """With fewer there is no residual. Chosen: the median of three bears one outlier."""
-    sparse_window_s: float = positive(3.0, most=60.0)
-    """A sparse epoch takes any range of so long, s. Chosen: pairs that are ranged every second or two."""
-    errors: RangeErrorSettings = field(default_factory=RangeErrorSettings)
-    """What no averaging removes; the fault monitor has it too."""
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
 
 class TrackPoint(NamedTuple):
@@ -67,6 +59,19 @@ class TrackPoint(NamedTuple):
     sigma_h_m: float
     sigma_v_m: float
     no_prior: bool
+
+    @classmethod
+    def of_report(cls, m: PositionMeasurement) -> TrackPoint | None:
+        """Return a reported position, which is a prior; None where it has no velocity."""
+        if m.velocity_enu_mps is None:
+            return None
+        return cls(m.measured_at_s, m.position_enu_m, m.velocity_enu_mps, m.sigma_h_m, m.sigma_v_m, no_prior=False)
+
+    @classmethod
+    def of_estimate(cls, where: Estimate, now_s: float, sigma_h_m: float, *, no_prior: bool) -> TrackPoint:
+        """Return where the estimator has a vehicle."""
+        (e, n, u), (ve, vn, vu) = where.position_enu_m.tolist(), where.velocity_enu_mps.tolist()
+        return cls(now_s, (e, n, u), (ve, vn, vu), sigma_h_m, height_sigma_m(where.covariance), no_prior)
 
 
 class _Track:
@@ -114,7 +119,6 @@ class RangeResidualBuffer:
     A range whose positions have arrived also goes to the fault monitor, where there is one.
     """
 
-    settings: RangeResidualSettings = field(default_factory=RangeResidualSettings)
     fault_monitor: FaultMonitor | None = None
     _tracks: dict[int, _Track] = field(default_factory=dict)
     _pending: deque[RangeMeasurement] = field(default_factory=lambda: deque(maxlen=_MAX_PENDING))
@@ -155,17 +159,16 @@ class RangeResidualBuffer:
         return max((samples[-1][0] for pair, samples in self._samples.items() if vehicle in pair), default=None)
 
     def epoch(self, now_s: float, detected: Collection[int] = ()) -> Epoch:
-        """Return the epoch in the middle of the window that ends `wait_s` ago.
+        """Return the epoch in the middle of the window that ends `WAIT_S` ago.
 
         Ranges to `detected` vehicles stay in it: the estimator selects them no more, and untested they would be trusted again.
         """
         self._compute_residuals(now_s)
-        s = self.settings
-        oldest_s = now_s - s.wait_s - s.max_window_s
+        oldest_s = now_s - WAIT_S - _MAX_WINDOW_S
         dense = {pair: [sample for sample in samples if sample[0] > oldest_s] for pair, samples in self._samples.items()}
         self._selected_s = {pair: at_s for pair, at_s in self._selected_s.items() if now_s - at_s <= _SELECTED_S}
         self._detected = frozenset(detected)
-        epoch = self._epoch(dense, now_s, s.min_ranges)
+        epoch = self._epoch(dense, now_s, _MIN_RANGES)
         self._pairs = frozenset(residual.pair for residual in epoch.residuals)
         return epoch
 
@@ -184,9 +187,8 @@ class RangeResidualBuffer:
         Of a device with too many peers the detected ones count, and eight others: those that the estimator selects, then those
         that did in the last dense epoch, and then those with the most ranges. Forged ones push nobody out.
         """
-        s = self.settings
-        middle_s = now_s - s.wait_s - 0.5 * s.window_s
-        from_s = now_s - s.wait_s - s.window_s
+        middle_s = now_s - WAIT_S - 0.5 * WINDOW_S
+        from_s = now_s - WAIT_S - WINDOW_S
         tracked = {vehicle: self._tracks[vehicle].at(middle_s) for vehicle in {v for pair in ranges for v in pair}}
         at_middle = {vehicle: prior for vehicle, prior in tracked.items() if prior is not None}
         usable: dict[Pair, list[_Sample]] = {}
@@ -194,7 +196,7 @@ class RangeResidualBuffer:
             if i not in at_middle or j not in at_middle:
                 continue
             recent = [sample for sample in kept if sample[0] > from_s]
-            samples = recent if len(recent) >= s.enough_ranges else kept
+            samples = recent if len(recent) >= _ENOUGH_RANGES else kept
             apart_m = dist(at_middle[i].position_enu_m, at_middle[j].position_enu_m)
             if len(samples) >= min_ranges and apart_m >= _MIN_DISTANCE_M:
                 usable[i, j] = samples
@@ -204,23 +206,22 @@ class RangeResidualBuffer:
             per_device[pair[0]] += 1
             if per_device[pair[0]] > _MAX_PEERS_PER_DEVICE:
                 del usable[pair]
-        pairs, ended_s = sorted(usable), now_s - s.wait_s
+        pairs, ended_s = sorted(usable), now_s - WAIT_S
         priors = {vehicle: at_middle[vehicle] for pair in pairs for vehicle in pair}
         residuals = tuple(self._residual(*pair, usable[pair]) for pair in pairs)
         return Epoch(middle_s, priors, residuals, min((usable[pair][0][0] for pair in pairs), default=ended_s), ended_s)
 
     def _residual(self, i: int, j: int, samples: list[_Sample]) -> RangeResidual:
-        s = self.settings
         ordered = sorted([residual_m for _, residual_m, _ in samples])
         residual_m, stated_m = median(ordered), median([sigma_m for _, _, sigma_m in samples])
         # Multipath that reaches the median also spreads the quartiles.
         quarter = len(ordered) // 4
         spread_m = (ordered[-1 - quarter] - ordered[quarter]) / _QUARTILE_DISTANCE_SIGMAS
         noise_m2 = max(stated_m, spread_m) ** 2 * _MEDIAN_VARIANCE_RATIO / len(samples)
-        return RangeResidual(i, j, residual_m, sqrt(noise_m2 + s.errors.coloured_share * stated_m**2), s.errors.range_bias_m)
+        return RangeResidual(i, j, residual_m, sqrt(noise_m2 + COLOURED_SHARE * stated_m**2), RANGE_BIAS_M)
 
     def _compute_residuals(self, now_s: float) -> None:
-        ready_s = now_s - self.settings.wait_s
+        ready_s = now_s - WAIT_S
         waiting = []
         for m in self._pending:
             at_s = m.measured_at_s
@@ -244,6 +245,6 @@ class RangeResidualBuffer:
                 del samples[0]
         self._pending.clear()
         self._pending.extend(waiting)
-        oldest_s = ready_s - self.settings.sparse_window_s
+        oldest_s = ready_s - _SPARSE_WINDOW_S
         fresh = {pair: [sample for sample in samples if sample[0] > oldest_s] for pair, samples in self._samples.items()}
         self._samples = {pair: samples for pair, samples in fresh.items() if samples}

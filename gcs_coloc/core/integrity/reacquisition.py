@@ -13,20 +13,13 @@ from dataclasses import dataclass
 from math import inf
 
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
+from gcs_coloc.core.gps_health.evidence import FaultReason, PositionFault
 from gcs_coloc.core.gps_health.gps_health import GpsState
-from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, EpochHistory, height_sigma_m
-from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels
+from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, EpochHistory
 from gcs_coloc.core.integrity.fix_check import FixCheck, FixConsistency, check_fix, fits_alone, star
-from gcs_coloc.core.integrity.range_consistency import ConsistencySettings, IdentifiedFault
 from gcs_coloc.core.integrity.range_residuals import RangeResidualBuffer, TrackPoint
-from gcs_coloc.core.integrity.report import (
-    FaultReason,
-    IntegrityReport,
-    PositionFault,
-    ReacquisitionStatus,
-    ReviewedVehicle,
-)
-from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeasurement
+from gcs_coloc.core.integrity.report import IntegrityReport, ReacquisitionStatus, ReviewedVehicle
+from gcs_coloc.core.measurements import PositionMeasurement, RangeMeasurement
 from gcs_coloc.core.residual_log import CONSISTENT_MEDIAN_NIS
 
 _OLDEST_FIX_S = 1.0  # of a receiver at 1 Hz
@@ -49,9 +42,9 @@ class _LocatedEvidence:
     since_s: float = inf
     until_s: float = -inf
 
-    def after(self, tested: Epoch, vehicle: int, levels: SignificanceLevels, now_s: float) -> _LocatedEvidence:
+    def after(self, tested: Epoch, vehicle: int, now_s: float) -> _LocatedEvidence:
         """Return the evidence after an epoch of the vehicle and the located ones."""
-        if fits_alone(tested, vehicle, levels):
+        if fits_alone(tested, vehicle):
             return self
         return _LocatedEvidence(min(self.since_s, now_s), now_s)
 
@@ -152,8 +145,7 @@ class ReacquisitionMonitor:
     It tests the receivers that are back, and those whose vehicles report trouble or were identified as faulty.
     """
 
-    def __init__(self, settings: ConsistencySettings) -> None:
-        self._settings = settings
+    def __init__(self) -> None:
         self._rejected_fixes = 0
         self._receivers: dict[int, _Reacquisition] = {}
         self._clear()
@@ -174,7 +166,7 @@ class ReacquisitionMonitor:
         return receiver is not None and not receiver.wrong
 
     def review(
-        self, now_s: float, vehicles: Sequence[ReviewedVehicle], identified: Mapping[int, IdentifiedFault]
+        self, now_s: float, vehicles: Sequence[ReviewedVehicle], identified: Mapping[int, PositionFault]
     ) -> IntegrityReport:
         """Test the fixes of the receivers in question, and return what was found.
 
@@ -193,10 +185,12 @@ class ReacquisitionMonitor:
         for v in vehicles:
             if v.estimate is not None and v.gps_state is GpsState.FAILED and v.sysid not in back and _is_reference(v):
                 located.add(v.sysid)
-                self._add_estimate(v.estimate, now_s)
+                sigma_h_m = horizontal_sigma_m(v.estimate.protected_covariance)
+                self._residuals.add_position(v.sysid, TrackPoint.of_estimate(v.estimate, now_s, sigma_h_m, no_prior=False))
         suspects = frozenset(v.sysid for v in vehicles if not v.is_trusted)
         for position in (*peers.values(), *(fix for _, fix in back.values())):
-            self._add_position(position)
+            if (point := TrackPoint.of_report(position)) is not None:
+                self._residuals.add_position(position.vehicle, point)
         epoch = self._residuals.epoch(now_s)
         pasts = self._epochs.pasts(epoch.at_s)
         self._epochs.append(epoch)
@@ -213,8 +207,8 @@ class ReacquisitionMonitor:
             }
             tested = star(epoch, sysid, peers)
             receiver.peers = tuple(sorted(tested.priors.keys() - {sysid}))
-            check = check_fix(fix, estimate, tested, own, self._settings.levels, suspects)
-            receiver.by_located = receiver.by_located.after(star(epoch, sysid, located), sysid, self._settings.levels, now_s)
+            check = check_fix(fix, estimate, tested, own, suspects)
+            receiver.by_located = receiver.by_located.after(star(epoch, sysid, located), sysid, now_s)
             if check.ranged and not check.fits_now:
                 receiver.off_at_s = epoch.at_s
             if receiver.add(check, now_s):
@@ -240,28 +234,12 @@ class ReacquisitionMonitor:
             return None
         return fix if now_s - fix.arrived_at_s <= _OLDEST_FIX_S else None
 
-    def _add_position(self, reported: PositionMeasurement) -> None:
-        if reported.velocity_enu_mps is None:
-            return
-        position, velocity = reported.position_enu_m, reported.velocity_enu_mps
-        track = TrackPoint(reported.measured_at_s, position, velocity, reported.sigma_h_m, reported.sigma_v_m, no_prior=False)
-        self._residuals.add_position(reported.vehicle, track)
-
-    def _add_estimate(self, where: Estimate, now_s: float) -> None:
-        (e, n, u), (ve, vn, vu) = where.position_enu_m.tolist(), where.velocity_enu_mps.tolist()
-        sigma_v_m = height_sigma_m(where.covariance)
-        sigma_h_m = horizontal_sigma_m(where.protected_covariance)
-        self._residuals.add_position(
-            where.vehicle, TrackPoint(now_s, (e, n, u), (ve, vn, vu), sigma_h_m, sigma_v_m, no_prior=False)
-        )
-
     def _clear(self) -> None:
-        s = self._settings
-        self._residuals = RangeResidualBuffer(s.residuals)
-        self._epochs = EpochHistory(s.intervals_s, s.correlation_time_s, s.period_s)
+        self._residuals = RangeResidualBuffer()
+        self._epochs = EpochHistory()
 
 
-def _begin(vehicle: ReviewedVehicle, identified: Mapping[int, IdentifiedFault], now_s: float) -> _Reacquisition:
+def _begin(vehicle: ReviewedVehicle, identified: Mapping[int, PositionFault], now_s: float) -> _Reacquisition:
     fault = identified.get(vehicle.sysid)
     if fault is not None:
         return _Reacquisition(now_s, is_back=False, wrong=True, was_ranged=True, offset_m=fault.size_m)

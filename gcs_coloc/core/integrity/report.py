@@ -10,11 +10,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
+from gcs_coloc.core.gps_health.evidence import PositionFault
 from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel
 from gcs_coloc.core.integrity.protection_level import FaultLevel
 from gcs_coloc.core.measurements import Estimate, FloatArray, PositionMeasurement
-from gcs_coloc.core.stations.node_id import node_name
 
 SEPARATION_GROWTH_TIME_S = 5.0
 """A displacement that grew within this time is in the velocity as well. Chosen: longer trusts the velocity sooner."""
@@ -48,36 +48,6 @@ class ReviewedVehicle:
     estimate: Estimate | None = None
     median_nis: float | None = None
     range_jump_m: float | None = None
-
-
-class FaultReason(Enum):
-    """Why a vehicle's GPS position is not believed; the value is the wording for people."""
-
-    CONTRADICTS_RANGES = "its GPS position contradicts the ranges to {others} by {size_m:.0f} m"
-    NOT_ISOLATED = "GPS positions and ranges contradict each other; the fault is in it or in {others}"
-    REACQUIRED_ELSEWHERE = "its GPS is back but {size_m:.0f} m from where the ranges put it"
-
-
-@dataclass(frozen=True, slots=True)
-class PositionFault:
-    """A fault of a vehicle's reported position.
-
-    `size_m` is its size in m. `others` are the vehicles whose ranges show it, or that may have it too.
-    """
-
-    reason: FaultReason
-    size_m: float = 0.0
-    others: tuple[int, ...] = ()
-
-    @property
-    def is_identified(self) -> bool:
-        """Whether the fault is isolated to this vehicle, and not only detected."""
-        return self.reason is not FaultReason.NOT_ISOLATED
-
-    @property
-    def text(self) -> str:
-        """The fault in words."""
-        return self.reason.value.format(others=", ".join(map(node_name, self.others)) or "its ranges", size_m=self.size_m)
 
 
 class ReacquisitionStatus(Enum):

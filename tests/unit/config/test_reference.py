@@ -9,24 +9,8 @@ import pytest
 
 from gcs_coloc.config.examples import EXAMPLES
 from gcs_coloc.config.settings import Settings
-from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels
-from gcs_coloc.core.integrity.fault_filters import FaultFilterSettings
-from gcs_coloc.core.integrity.fault_monitor import FaultMonitorSettings
-from gcs_coloc.core.integrity.range_consistency import ConsistencySettings
-from gcs_coloc.core.integrity.range_errors import RangeErrorSettings
-from gcs_coloc.core.integrity.range_residuals import RangeResidualSettings
 from gcs_coloc.core.setting_bounds import Bounds, check_bounds, field_bounds
 from tools.settings_reference import OF_EACH, PAGES, field_texts, written
-
-INTERNAL = (
-    ConsistencySettings,
-    FaultFilterSettings,
-    FaultMonitorSettings,
-    RangeErrorSettings,
-    RangeResidualSettings,
-    SignificanceLevels,
-)
-"""Settings of the core that no configuration file has: whoever tunes integrity finds what they are in the same way."""
 
 SECTIONS = {name: type(getattr(Settings(), name)) for name in Settings.model_fields if name not in ("links", "out", *OF_EACH)}
 
@@ -40,8 +24,8 @@ def test_the_tables_of_the_reference_are_those_of_the_classes(page):
 
 @pytest.mark.parametrize(
     "section",
-    [*SECTIONS.values(), *OF_EACH.values(), *INTERNAL],
-    ids=[*SECTIONS, *OF_EACH, *(each.__name__ for each in INTERNAL)],
+    [*SECTIONS.values(), *OF_EACH.values()],
+    ids=[*SECTIONS, *OF_EACH],
 )
 def test_every_setting_is_documented_under_itself(section):
     names = [one.name for one in fields(section)] if is_dataclass(section) else list(section.model_fields)
@@ -51,7 +35,7 @@ def test_every_setting_is_documented_under_itself(section):
 
 
 def test_every_number_of_the_cores_settings_has_bounds_and_a_default_within():
-    for section in (*SECTIONS.values(), *INTERNAL):
+    for section in SECTIONS.values():
         if is_dataclass(section):
             numbers = [one for one in fields(section) if type(one.default) in (int, float)]
             assert numbers
@@ -87,7 +71,10 @@ def test_the_example_configuration_holds_every_setting_with_its_default():
         assert getattr(told, name) == getattr(Settings(), name)
 
 
-@pytest.mark.parametrize("made", INTERNAL, ids=lambda made: made.__name__)
+CORE = [section for section in SECTIONS.values() if is_dataclass(section)]
+
+
+@pytest.mark.parametrize("made", CORE, ids=lambda made: made.__name__)
 def test_a_number_out_of_bounds_is_refused_by_name(made):
     one = next(each for each in fields(made) if type(each.default) in (int, float))
     with pytest.raises(ValueError, match=f"{one.name} must be"):

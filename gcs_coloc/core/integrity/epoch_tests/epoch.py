@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import exp, inf, sqrt
@@ -25,8 +25,22 @@ MIN_INFORMATION_PER_M2 = 1e-9
 """Information of a coordinate without prior: a 1-sigma of 30 km. Chosen: less costs digits of the adjustment."""
 _LARGEST_SIGMA_V_M = 10.0
 """Of a height without prior in an adjustment. Chosen: a free one would cost each range its information."""
-EPOCH_TOLERANCE_S = 0.3
-"""So far an earlier epoch may be from the time that is wanted. Chosen: one and a half of the 0.2 s between epochs."""
+PERIOD_S = 0.2
+"""Tests run so often. Chosen: as often as ranges and positions come."""
+INTERVALS_S = (2.0, 5.0, 12.0)
+"""Tested are the present, and the change since so long ago. Chosen: a ramp of 5 m/s shows within the first, one of 1 m/s within
+the last."""
+CORRELATION_TIME_S = 30.0
+"""A fault-free position error is a Gauss-Markov process of this time. Source: errors of GNSS positions are correlated for half a
+minute to minutes."""
+_TOLERANCE_S = 0.3
+"""So far an earlier epoch may be from the time that is wanted. Chosen: one and a half periods."""
+
+RANGE_BIAS_M = 0.3
+"""1-sigma of the error that all ranges of a pair share. Source: lasting biases of 0.16 to 0.35 m in public ultra-wideband
+data."""
+COLOURED_SHARE = 0.1
+"""Share of the stated variance of ranges that no averaging removes. Chosen: as `range_coloured_share` of the fleet filter."""
 
 _at_s = attrgetter("at_s")
 
@@ -195,15 +209,10 @@ Past = tuple[Epoch | None, float]
 
 
 class EpochHistory:
-    """The epochs of the last seconds, `period_s` apart, for as long as the longest of the intervals.
+    """The epochs of the last seconds, one each `PERIOD_S`, for as long as the longest of the intervals."""
 
-    A position error is a first-order Gauss-Markov process: its correlation over an interval T is exp(-T / `correlation_time_s`).
-    """
-
-    def __init__(self, intervals_s: Sequence[float], correlation_time_s: float, period_s: float) -> None:
-        self._intervals_s = tuple(intervals_s)
-        self._correlation_time_s = correlation_time_s
-        self._epochs: deque[Epoch] = deque(maxlen=round(max(intervals_s) / period_s) + 2)
+    def __init__(self) -> None:
+        self._epochs: deque[Epoch] = deque(maxlen=round(max(INTERVALS_S) / PERIOD_S) + 2)
 
     def append(self, epoch: Epoch) -> None:
         """Append an epoch that is newer than all before."""
@@ -216,14 +225,14 @@ class EpochHistory:
         before.
         """
         pasts: dict[float, Past] = {0.0: (None, 0.0)}
-        for interval_s in self._intervals_s:
+        for interval_s in INTERVALS_S:
             earlier = self._nearest(at_s - interval_s)
             if earlier is not None:
-                pasts[interval_s] = (earlier, exp(-interval_s / self._correlation_time_s))
+                pasts[interval_s] = (earlier, exp(-interval_s / CORRELATION_TIME_S))
         return pasts
 
     def _nearest(self, wanted_s: float) -> Epoch | None:
         later = bisect_left(self._epochs, wanted_s, key=_at_s)
         neighbours = [self._epochs[n] for n in (later - 1, later) if 0 <= n < len(self._epochs)]
         nearest = min(neighbours, key=lambda epoch: abs(epoch.at_s - wanted_s), default=None)
-        return nearest if nearest is not None and abs(nearest.at_s - wanted_s) <= EPOCH_TOLERANCE_S else None
+        return nearest if nearest is not None and abs(nearest.at_s - wanted_s) <= _TOLERANCE_S else None

@@ -29,10 +29,22 @@ import numpy as np
 from gcs_coloc.core.integrity.epoch_tests.adjustment import Adjustment, FaultEffect, adjust
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, Past
 from gcs_coloc.core.measurements import FloatArray
-from gcs_coloc.core.setting_bounds import check_bounds, positive
 
 WELL_PLACED_SIGMA_M = 10.0
 """Chosen: beyond it motion places a vehicle, and no error of a range acts in full."""
+ALARM_LEVEL = 1e-6
+"""Probability of a false alarm in one test. Chosen: four tests five times a second make at most one in 14 hours."""
+_CLEAR_LEVEL = 1e-2
+"""Probability that a fault-free fleet is not called clear. Chosen: a detection ends within seconds of the fault."""
+_SEPARATION_FROM_LEVEL = 5e-3
+"""A fault as significant as this begins to count in the solution separation. Chosen: rarer than 1 in 200 by chance."""
+_SEPARATION_FULL_LEVEL = 5e-4
+"""As significant as this it counts in full. Chosen: rarer than 1 in 2000 by chance, long before it is detected."""
+REST_LEVEL = 1e-3
+"""Probability that the rest is not called consistent when the right fault is left out. Chosen: it is tried again."""
+RULED_OUT_MARGIN = 10.0
+"""A fault whose gain is smaller than the largest by more than this is ruled out: twice a log likelihood ratio. Chosen: a
+likelihood ratio of 150."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,50 +72,28 @@ class FaultTestResult:
         return self.fit.placed_offset_m(vehicle, WELL_PLACED_SIGMA_M)
 
 
-@dataclass(frozen=True, slots=True)
-class SignificanceLevels:
-    """Significance levels of the tests."""
-
-    alarm: float = positive(1e-6, most=0.5)
-    """Probability of a false alarm in one test. Chosen: four tests five times a second make at most one in 14 hours."""
-    clear: float = positive(1e-2, most=0.5)
-    """Probability that a fault-free fleet is not called clear. Chosen: a detection ends within seconds of the fault."""
-    separation_from: float = positive(5e-3, most=0.5)
-    """A fault as significant as this begins to count in the solution separation. Chosen: rarer than 1 in 200 by chance."""
-    separation_full: float = positive(5e-4, most=0.5)
-    """As significant as this it counts in full. Chosen: rarer than 1 in 2000 by chance, long before it is detected."""
-    rest: float = positive(1e-3, most=0.5)
-    """Probability that the rest is not called consistent when the right fault is left out. Chosen: it is tried again."""
-    margin: float = positive(10.0)
-    """A fault whose gain is smaller than the largest by more than this is ruled out: twice a log likelihood ratio. Chosen: a
-    likelihood ratio of 150."""
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
-
-
-def run_tests(now: Epoch, levels: SignificanceLevels, pasts: Sequence[Past]) -> list[FaultTestResult | None]:
+def run_tests(now: Epoch, pasts: Sequence[Past]) -> list[FaultTestResult | None]:
     """Test an epoch, alone or against earlier ones; None where there is no redundancy."""
-    return [run_test(fit, levels) for fit in adjust(now, pasts)] if now.residuals else [None] * len(pasts)
+    return [run_test(fit) for fit in adjust(now, pasts)] if now.residuals else [None] * len(pasts)
 
 
-def run_test(fit: Adjustment, levels: SignificanceLevels) -> FaultTestResult | None:
+def run_test(fit: Adjustment) -> FaultTestResult | None:
     """Test one adjustment; None where there is no redundancy."""
     dof = fit.degrees_of_freedom
     if dof < 1:
         return None
     reporting = [v for v in fit.vehicles if not fit.priors[v].no_prior]
     # Bonferroni: the global test and the local tests together have the level of one test.
-    alpha = levels.alarm / (1 + len(reporting))
+    alpha = ALARM_LEVEL / (1 + len(reporting))
     # A gain is at most the statistic: below both limits no local test can reject.
-    is_significant = fit.statistic > min(chi2_limit(1, levels.separation_from), chi2_limit(1, alpha))
+    is_significant = fit.statistic > min(chi2_limit(1, _SEPARATION_FROM_LEVEL), chi2_limit(1, alpha))
     gains = [fit.position_gain(v) for v in reporting] if is_significant else []
-    weight = max((_separation_weight(gain, rank, levels) for gain, rank in gains), default=0.0)
+    weight = max((_separation_weight(gain, rank) for gain, rank in gains), default=0.0)
     rejected = [v for v, (gain, rank) in zip(reporting, gains, strict=False) if rank and gain > chi2_limit(rank, alpha)]
     alarm = fit.statistic > chi2_limit(dof, alpha) or bool(rejected)
     effects = [fit.position_effect(v) for v in reporting] + _range_effects(fit) if weight else []
     best = max((effect.gain for effect in effects if effect.rank), default=0.0)
-    plausible = [effect for effect in effects if effect.rank and effect.gain >= best - levels.margin]
+    plausible = [effect for effect in effects if effect.rank and effect.gain >= best - RULED_OUT_MARGIN]
     without_prior = [v for v in fit.vehicles if fit.priors[v].no_prior]
     separation = {}
     for vehicle in without_prior:
@@ -113,18 +103,18 @@ def run_test(fit: Adjustment, levels: SignificanceLevels) -> FaultTestResult | N
         statistic=fit.statistic,
         degrees_of_freedom=dof,
         is_consistent=not alarm,
-        is_clear=not alarm and not weight and fit.statistic <= chi2_limit(dof, levels.clear),
+        is_clear=not alarm and not weight and fit.statistic <= chi2_limit(dof, _CLEAR_LEVEL),
         suspects=frozenset(rejected or reporting) if alarm else frozenset(),
         separation_m2=separation,
         fit=fit,
     )
 
 
-def _separation_weight(gain: float, rank: int, levels: SignificanceLevels) -> float:
+def _separation_weight(gain: float, rank: int) -> float:
     """Return how much a fault counts in the solution separation, 0 to 1."""
     if not rank:
         return 0.0
-    low, high = chi2_limit(rank, levels.separation_from), chi2_limit(rank, levels.separation_full)
+    low, high = chi2_limit(rank, _SEPARATION_FROM_LEVEL), chi2_limit(rank, _SEPARATION_FULL_LEVEL)
     return min(max((gain - low) / (high - low), 0.0), 1.0)
 
 

@@ -33,7 +33,7 @@ import numpy as np
 from gcs_coloc.core.integrity.epoch_tests.adjustment import adjust
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, Past
 from gcs_coloc.core.integrity.epoch_tests.fault_model import AdjustedHypothesis, FaultKind, FaultModel, Hypothesis
-from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels, chi2_limit
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import REST_LEVEL, RULED_OUT_MARGIN, chi2_limit
 from gcs_coloc.core.integrity.epoch_tests.pair_outliers import cost_of_their_pairs, cost_of_two_pairs
 from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.core.stations.node_id import is_station
@@ -148,9 +148,7 @@ class IsolationPersistence:
         self.possible.clear()
 
 
-def isolate(
-    now: Epoch, past: Past, levels: SignificanceLevels, troubled: Collection[int] = (), *, pairs_fail: bool = False
-) -> Isolation:
+def isolate(now: Epoch, past: Past, troubled: Collection[int] = (), *, pairs_fail: bool = False) -> Isolation:
     """Explain what an epoch, alone or against an earlier one, contradicts.
 
     `troubled` vehicles report trouble themselves. `pairs_fail`: pairs have been off of late; two may be at once, and no error of
@@ -160,16 +158,16 @@ def isolate(
     candidates = _candidates(now, model)
     hypotheses = _hypotheses(now, model, candidates)
     found = model.explain(hypotheses, [_penalty(each, frozenset(troubled)) for each in hypotheses])
-    explanations = sorted((_with_usual_devices(each, levels) for each in found), key=lambda each: each.cost)
+    explanations = sorted((_with_usual_devices(each) for each in found), key=lambda each: each.cost)
     reporting = tuple(model.arrays.vehicles[at] for at in candidates)
     if not explanations:
         return Isolation(reporting)
     best = explanations[0]
     dof = best.degrees_of_freedom
-    if dof and best.statistic > chi2_limit(dof, levels.rest):
+    if dof and best.statistic > chi2_limit(dof, REST_LEVEL):
         return Isolation(reporting)
-    limit = best.cost + levels.margin
-    isolation = Isolation(reporting, tuple(each for each in explanations if each.cost <= limit), _device_m(found, levels))
+    limit = best.cost + RULED_OUT_MARGIN
+    isolation = Isolation(reporting, tuple(each for each in explanations if each.cost <= limit), _device_m(found))
     not_alone = {
         vehicle
         for vehicle in isolation.isolated
@@ -180,13 +178,13 @@ def isolate(
         )
     }
     if pairs_fail and isolation.isolated and past[0] is not None:
-        anew = isolate(_with_errors_anew(now), (_with_errors_anew(past[0]), past[1]), levels, troubled)
+        anew = isolate(_with_errors_anew(now), (_with_errors_anew(past[0]), past[1]), troubled)
         not_alone |= isolation.isolated.keys() - anew.isolated.keys()
     alike = [each.vehicles for each in isolation.plausible if len(each.vehicles) > 1] if isolation.isolated else []
     if any(cost_of_their_pairs(now, past, vehicles) <= limit for vehicles in alike):
         not_alone |= isolation.isolated.keys() - frozenset(troubled)
     isolation = replace(isolation, not_alone=frozenset(not_alone))
-    return replace(isolation, changes_m={v: _change_m(now, past, model, v, levels) for v in isolation.isolated})
+    return replace(isolation, changes_m={v: _change_m(now, past, model, v) for v in isolation.isolated})
 
 
 def _with_errors_anew(epoch: Epoch) -> Epoch:
@@ -195,7 +193,7 @@ def _with_errors_anew(epoch: Epoch) -> Epoch:
     return replace(epoch, residuals=tuple(anew))
 
 
-def _change_m(now: Epoch, past: Past, model: FaultModel, vehicle: int, levels: SignificanceLevels) -> float:
+def _change_m(now: Epoch, past: Past, model: FaultModel, vehicle: int) -> float:
     """Return by how much the offset of a vehicle has changed since the earlier epoch, in m.
 
     It is 0 where one offset for both epochs fits nearly as well as one for each, or where there is no earlier epoch.
@@ -207,7 +205,7 @@ def _change_m(now: Epoch, past: Past, model: FaultModel, vehicle: int, levels: S
     one_offset = Hypothesis(FaultKind.POSITIONS, (vehicle,), moved, np.zeros((model.epochs * model.rows, 2)))
     explained = model.explain([one_offset], [0.0])
     two_offsets = adjust(now.without_priors((vehicle,)), [(then.without_priors((vehicle,)), correlation)])[0]
-    if explained and explained[0].statistic - two_offsets.statistic <= chi2_limit(2, levels.rest):
+    if explained and explained[0].statistic - two_offsets.statistic <= chi2_limit(2, REST_LEVEL):
         return 0.0
     return two_offsets.change_m(vehicle)
 
@@ -236,26 +234,26 @@ def _faulty(explanation: AdjustedHypothesis) -> frozenset[int]:
     return frozenset(explanation.vehicles if explanation.kind is FaultKind.POSITIONS else ())
 
 
-def _with_usual_devices(explanation: AdjustedHypothesis, levels: SignificanceLevels) -> AdjustedHypothesis:
+def _with_usual_devices(explanation: AdjustedHypothesis) -> AdjustedHypothesis:
     """Return the explanation, with a lower cost if it is a usual error of a device.
 
     A device that is off by a usual length is likelier beforehand. The rest must be consistent.
     """
     dof = explanation.degrees_of_freedom
     is_usual = explanation.kind in _OF_DEVICES and explanation.size_m <= _USUAL_DEVICE_M
-    if not is_usual or (dof and explanation.statistic > chi2_limit(dof, levels.rest)):
+    if not is_usual or (dof and explanation.statistic > chi2_limit(dof, REST_LEVEL)):
         return explanation
     return replace(explanation, cost=explanation.cost - _USUAL_DEVICE_GAIN)
 
 
-def _device_m(found: Sequence[AdjustedHypothesis], levels: SignificanceLevels) -> float:
+def _device_m(found: Sequence[AdjustedHypothesis]) -> float:
     """Return by how much a device is off, in m; 0 where it may be another fault.
 
     The ranges must tell it from every other fault, with none likelier beforehand.
     """
     best = found[0]
     others = min((each.cost for each in found if each.kind not in _OF_DEVICES), default=inf)
-    is_clear = best.kind in _OF_DEVICES and best.degrees_of_freedom > 0 and others > best.cost + levels.margin
+    is_clear = best.kind in _OF_DEVICES and best.degrees_of_freedom > 0 and others > best.cost + RULED_OUT_MARGIN
     return best.size_m if is_clear else 0.0
 
 

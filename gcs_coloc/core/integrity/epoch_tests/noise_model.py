@@ -34,7 +34,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gcs_coloc.core.integrity.epoch_tests.epoch import MIN_INFORMATION_PER_M2, Epoch, PositionPrior, range_jacobian
-from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels, chi2_limit
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import REST_LEVEL, RULED_OUT_MARGIN, chi2_limit
 from gcs_coloc.core.integrity.epoch_tests.pair_outliers import FURTHER_PAIR_PENALTY, Pair, pair_outliers, unordered, without_pairs
 
 _RANGE_BIASES_M = (1.0, 2.0, 4.0, 8.0)  # chosen: uncalibrated devices; beyond it the protection level is beyond the alert limit
@@ -203,7 +203,7 @@ class LikeliestNoise(NamedTuple):
     cost: float
 
 
-def likeliest_noise(epoch: Epoch, present: NoiseModel, levels: SignificanceLevels) -> LikeliestNoise | None:
+def likeliest_noise(epoch: Epoch, present: NoiseModel) -> LikeliestNoise | None:
     """Return the likeliest larger model with which an epoch is consistent; None where none is.
 
     A larger model has one component of `present` enlarged. The noise of the epoch is as stated.
@@ -212,7 +212,7 @@ def likeliest_noise(epoch: Epoch, present: NoiseModel, levels: SignificanceLevel
     found: list[LikeliestNoise] = []
     for model in present.larger():
         likelihood = restricted_likelihood(model.apply(epoch))
-        if likelihood.statistic <= chi2_limit(likelihood.degrees_of_freedom, levels.rest):
+        if likelihood.statistic <= chi2_limit(likelihood.degrees_of_freedom, REST_LEVEL):
             found.append(LikeliestNoise(model, likelihood.cost - base.cost + base.statistic))
     return min(found, key=lambda each: each.cost, default=None)
 
@@ -226,16 +226,16 @@ def _as_tested(epoch: Epoch) -> Epoch:
     return replace(epoch, residuals=tuple(apart))
 
 
-def clearly_smaller_noise(epoch: Epoch, present: NoiseModel, levels: SignificanceLevels) -> NoiseModel | None:
+def clearly_smaller_noise(epoch: Epoch, present: NoiseModel) -> NoiseModel | None:
     """Return the likeliest smaller model, if it is clearly likelier than `present`; else None.
 
     The noise of the epoch is as stated. With the smaller model the epoch must be consistent, without some pairs that are off.
     Those pairs have `_PAIR_OFF_M` and the penalty of further pairs. Ranges that test nothing are as likely with either model.
     """
-    limit = restricted_likelihood(present.apply(epoch)).cost - levels.margin
+    limit = restricted_likelihood(present.apply(epoch)).cost - RULED_OUT_MARGIN
     found: list[LikeliestNoise] = []
     for model in present.smaller():
-        outliers = pair_outliers(model.apply(epoch), levels)
+        outliers = pair_outliers(model.apply(epoch))
         if outliers is None:
             continue
         coarse = tuple(r._replace(bias_m=_PAIR_OFF_M) if unordered(r.pair) in outliers.pairs else r for r in epoch.residuals)

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 from gcs_coloc.core.integrity.epoch_tests.adjustment import adjust
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, Past
-from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels, chi2_limit
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import REST_LEVEL, chi2_limit
 
 FURTHER_PAIR_PENALTY = 9.2  # twice the log of 100: chosen, so much rarer is each further pair that is off at the same time
 
@@ -46,7 +46,7 @@ def without_pairs(epoch: Epoch, pairs: Collection[Pair]) -> Epoch:
     return replace(epoch, residuals=tuple(r for r in epoch.residuals if unordered(r.pair) not in pairs))
 
 
-def pair_outliers(epoch: Epoch, levels: SignificanceLevels) -> PairOutliers | None:
+def pair_outliers(epoch: Epoch) -> PairOutliers | None:
     """Return the pairs without which an epoch is consistent; None where there is no such set.
 
     Fewer than half of the pairs may be left out, and the rest must keep redundancy.
@@ -58,7 +58,7 @@ def pair_outliers(epoch: Epoch, levels: SignificanceLevels) -> PairOutliers | No
         fit = adjust(rest, [(None, 0.0)])[0]
         if fit.degrees_of_freedom < 1:
             return None
-        if fit.statistic <= chi2_limit(fit.degrees_of_freedom, levels.rest):
+        if fit.statistic <= chi2_limit(fit.degrees_of_freedom, REST_LEVEL):
             return PairOutliers(frozenset(off), fit.statistic + FURTHER_PAIR_PENALTY * max(len(off) - 1, 0))
         if 2 * (len(off) + 1) >= len(pairs):
             return None

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from gcs_coloc.core.gps_health.evidence import GpsEvidence, GpsReason, RangeContradiction
+from gcs_coloc.core.gps_health.evidence import FaultReason, GpsEvidence, GpsReason, PositionFault
 from gcs_coloc.core.gps_health.gps_health import GpsHealth, GpsHealthSettings, GpsState
 from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages.control import GpsOverride
@@ -236,8 +236,8 @@ def test_a_receiver_frozen_on_the_move_fails_and_a_jump_is_suspect():
 
 def test_an_identified_contradiction_fails_at_once_and_an_unclear_one_is_suspect():
     identified, among = healthy_until(5.0), healthy_until(5.0)
-    identified.know(contradiction=RangeContradiction("contradicts the ranges", is_identified=True))
-    among.know(contradiction=RangeContradiction("somebody is wrong", is_identified=False))
+    identified.know(contradiction=PositionFault(FaultReason.CONTRADICTS_RANGES))
+    among.know(contradiction=PositionFault(FaultReason.NOT_ISOLATED))
     run(identified, 5.2, 5.2)
     run(among, 5.2, 30.0)
     assert identified.state is GpsState.FAILED
@@ -353,15 +353,15 @@ def test_a_service_that_runs_late_accuses_nobody_of_its_own_silence():
 def test_a_host_that_keeps_up_as_well_as_hosts_do_excuses_nothing():
     """It is some hundredths of a second late every second; the contradiction stands for as long as the fault does."""
     health = healthy_until(5.0)
-    health.know(host_lag_s=0.03, contradiction=RangeContradiction("contradicts", is_identified=False))
+    health.know(host_lag_s=0.03, contradiction=PositionFault(FaultReason.NOT_ISOLATED))
     run(health, 5.2, 5.2)
     assert health.state is GpsState.SUSPECT
 
 
 def test_while_the_service_runs_late_a_contradiction_counts_only_where_it_names_the_vehicle():
     unclear, named = healthy_until(5.0), healthy_until(5.0)
-    for health, is_identified in ((unclear, False), (named, True)):
-        health.know(host_lag_s=0.5, contradiction=RangeContradiction("contradicts", is_identified=is_identified))
+    for health, reason in ((unclear, FaultReason.NOT_ISOLATED), (named, FaultReason.CONTRADICTS_RANGES)):
+        health.know(host_lag_s=0.5, contradiction=PositionFault(reason))
         run(health, 5.2, 6.0)
     assert unclear.state is GpsState.HEALTHY
     assert named.state is GpsState.FAILED

@@ -7,7 +7,8 @@ from math import cos, exp, pi, sin
 import numpy as np
 import pytest
 
-from gcs_coloc.core.integrity.fault_filters import FaultFilters, FaultFilterSettings, LineOfSightResidual, positive_part
+from gcs_coloc.core.integrity import fault_filters
+from gcs_coloc.core.integrity.fault_filters import FaultFilters, LineOfSightResidual, positive_part
 
 STEP_S = 0.2
 REPORTED_SIGMA_M, NOISE_M, WANDER_S = 1.5, 1.0, 60.0
@@ -153,8 +154,10 @@ def test_a_jump_of_the_estimate_resets_the_displacement_and_raises_no_alarm():
     assert sum(probabilities(filters).values()) < 0.3
 
 
-def test_faults_that_begin_and_end_at_once_keep_probabilities_within_bounds():
-    filters = FaultFilters(FaultFilterSettings(onset_rate_per_s=1.0, end_rate_per_s=1.0))
+def test_faults_that_begin_and_end_at_once_keep_probabilities_within_bounds(monkeypatch):
+    monkeypatch.setattr(fault_filters, "_ONSET_RATE_PER_S", 1.0)
+    monkeypatch.setattr(fault_filters, "_END_RATE_PER_S", 1.0)
+    filters = FaultFilters()
     says_nothing = {peer: LineOfSightResidual(0.0, 1e6, REPORTED_SIGMA_M, (-cos(a), -sin(a))) for peer, a in AROUND.items()}
     faulty = []
     for at_s in (0.0, 3.0, 6.0):

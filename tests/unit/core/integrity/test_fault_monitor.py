@@ -7,13 +7,13 @@ from math import cos, sin
 import numpy as np
 import pytest
 
+from gcs_coloc.core.integrity import fault_monitor, range_residuals
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual
 from gcs_coloc.core.integrity.epoch_tests.noise_model import AS_STATED, NoiseModel
 from gcs_coloc.core.integrity.fault_filters import FaultFilters
 from gcs_coloc.core.integrity.fault_monitor import FaultMonitor, expected_separation_m2
-from gcs_coloc.core.integrity.range_consistency import ConsistencySettings, RangeConsistency
-from gcs_coloc.core.integrity.range_errors import RangeErrorSettings
-from gcs_coloc.core.integrity.range_residuals import RangeResidualSettings, TrackPoint
+from gcs_coloc.core.integrity.range_consistency import RangeConsistency
+from gcs_coloc.core.integrity.range_residuals import TrackPoint
 from gcs_coloc.core.measurements import RangeMeasurement
 
 STEP_S, APART_M = 0.2, 800.0
@@ -97,11 +97,13 @@ def test_lasting_errors_that_are_known_displace_nobody_and_a_drift_beside_them_i
     assert max(known_m) < 3.0
 
 
-def test_the_errors_of_ranges_are_those_of_the_residuals_of_epochs():
+def test_the_errors_of_ranges_are_those_of_the_residuals_of_epochs(monkeypatch):
     """Lasting errors of 5 m are set once and known to both: the fault monitor cannot rule out smaller faults then."""
-    settings = ConsistencySettings(residuals=RangeResidualSettings(errors=RangeErrorSettings(range_bias_m=5.0)))
     separation_m2 = []
-    for consistency in (RangeConsistency(), RangeConsistency(settings)):
+    for range_bias_m in (0.3, 5.0):
+        monkeypatch.setattr(fault_monitor, "RANGE_BIAS_M", range_bias_m)
+        monkeypatch.setattr(range_residuals, "RANGE_BIAS_M", range_bias_m)
+        consistency = RangeConsistency()
         for step in range(150):
             t = step * STEP_S
             for vehicle, prior in (
@@ -109,13 +111,13 @@ def test_the_errors_of_ranges_are_those_of_the_residuals_of_epochs():
                 *((p, place(APART_M * cos(a), APART_M * sin(a))) for p, a in AROUND.items()),
             ):
                 at_m = prior.position_enu_m
-                consistency.add_position(vehicle, TrackPoint(t, at_m, (0.0, 0.0, 0.0), 1.5, 2.0, no_prior=vehicle == DENIED))
+                consistency.residuals.add_position(
+                    vehicle, TrackPoint(t, at_m, (0.0, 0.0, 0.0), 1.5, 2.0, no_prior=vehicle == DENIED)
+                )
             for peer in AROUND:
-                consistency.add_range(RangeMeasurement(DENIED, peer, t, t, APART_M, 1.0))
+                consistency.residuals.add_range(RangeMeasurement(DENIED, peer, t, t, APART_M, 1.0))
             consistency.review(t + 0.01)
-        assert {residual.bias_m for residual in consistency.epoch.residuals} == {
-            consistency.settings.residuals.errors.range_bias_m
-        }
+        assert {residual.bias_m for residual in consistency.epoch.residuals} == {range_bias_m}
         separation_m2.append(float(np.trace(consistency.separation_m2[DENIED])))
     assert separation_m2[1] > 2.0 * separation_m2[0]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_coloc.core.integrity.range_residuals import RangeResidualBuffer, RangeResidualSettings, TrackPoint
+from gcs_coloc.core.integrity.range_residuals import WAIT_S, RangeResidualBuffer, TrackPoint
 from gcs_coloc.core.measurements import RangeMeasurement
 
 APART_M = 1000.0
@@ -17,7 +17,7 @@ def residuals_of(ranges_m, every_s=0.2):
             place = TrackPoint(t, (east_m, 0.0, 100.0), (20.0, 0.0, 0.0), 1.5, 2.0, no_prior=False)
             residuals.add_position(vehicle, place)
         residuals.add_range(RangeMeasurement(1, 2, t, t, range_m, 1.0))
-    return residuals.epoch((len(ranges_m) - 1) * every_s + RangeResidualSettings().wait_s).residuals
+    return residuals.epoch((len(ranges_m) - 1) * every_s + WAIT_S).residuals
 
 
 def test_a_single_late_range_does_not_move_the_residual():

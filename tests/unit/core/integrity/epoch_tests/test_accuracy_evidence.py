@@ -7,13 +7,11 @@ from math import exp, sqrt
 import numpy as np
 import pytest
 
-from gcs_coloc.core.integrity.epoch_tests.accuracy_evidence import AccuracyEvidence
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual
-from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels
+from gcs_coloc.core.integrity.epoch_tests.noise_evidence import AccuracyEvidence
 from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel
 
-STATED_M, RANGE_SIGMA_M, EVERY_S, TIME_S = 1.5, 0.6, 5.0, 30.0
-LEVELS = SignificanceLevels()
+STATED_M, RANGE_SIGMA_M, EVERY_S = 1.5, 0.6, 5.0
 
 
 def noise_found(seed: int, *, factor: float, for_s: float, drawn_off_mps: float = 0.0, bias_m: float = 0.0) -> NoiseModel:
@@ -42,7 +40,7 @@ def noise_found(seed: int, *, factor: float, for_s: float, drawn_off_mps: float 
                     computed_m = np.linalg.norm(np.subtract(priors[i].position_enu_m, priors[j].position_enu_m))
                     residuals.append(RangeResidual(i, j, float(measured_m - computed_m), RANGE_SIGMA_M))
         noise = noise.after(EVERY_S)
-        noise = evidence.update(Epoch(at_s, priors, tuple(residuals)), noise, LEVELS, TIME_S)
+        noise = evidence.update(Epoch(at_s, priors, tuple(residuals)), noise)
     return noise
 
 

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from gcs_coloc.core.integrity.epoch_tests import fault_tests
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual
-from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels, run_tests
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import run_tests
 from gcs_coloc.core.integrity.epoch_tests.isolation import isolate
 
 SIGMA_GPS_M, SIGMA_RANGE_M = 1.5, 0.6
@@ -17,8 +18,8 @@ TRUE = {
 }
 
 
-def result_of(now, levels, then=None, correlation=0.0):
-    (result,) = run_tests(now, levels, [(then, correlation)])
+def result_of(now, then=None, correlation=0.0):
+    (result,) = run_tests(now, [(then, correlation)])
     return result
 
 
@@ -39,10 +40,11 @@ def epoch(rng, *, mutual, faults=None, free=(5,), pair_error=None, device_error=
 
 
 @pytest.mark.parametrize("mutual", [True, False])
-def test_the_false_alarm_rate_is_the_one_that_is_set(mutual):
+def test_the_false_alarm_rate_is_the_one_that_is_set(monkeypatch, mutual):
     """600 fault-free epochs at an alarm level of 4 %: 24 expected, sigma 4.8; the band is four sigmas to either side."""
+    monkeypatch.setattr(fault_tests, "ALARM_LEVEL", 0.04)
     rng = np.random.default_rng(7)
-    results = [result_of(epoch(rng, mutual=mutual), SignificanceLevels(alarm=0.04)) for _ in range(600)]
+    results = [result_of(epoch(rng, mutual=mutual)) for _ in range(600)]
     assert 5 <= sum(not v.is_consistent for v in results if v is not None) <= 43
 
 
@@ -51,7 +53,7 @@ def test_a_vehicle_without_prior_far_off_costs_nothing():
     unknowns.
     """
     rng = np.random.default_rng(1)
-    results = [result_of(epoch(rng, mutual=False), SignificanceLevels()) for _ in range(400)]
+    results = [result_of(epoch(rng, mutual=False)) for _ in range(400)]
     assert {v.degrees_of_freedom for v in results} == {2}
     # Mean of 400 values of variance 4: sigma 0.1, band of four.
     assert np.mean([v.statistic for v in results]) == pytest.approx(2.0, abs=0.4)
@@ -59,8 +61,8 @@ def test_a_vehicle_without_prior_far_off_costs_nothing():
 
 def test_without_redundancy_there_is_no_result():
     full = epoch(np.random.default_rng(0), mutual=False)
-    assert result_of(Epoch(0.0, full.priors, full.residuals[:2]), SignificanceLevels()) is None
-    assert result_of(Epoch(0.0, full.priors, ()), SignificanceLevels()) is None
+    assert result_of(Epoch(0.0, full.priors, full.residuals[:2])) is None
+    assert result_of(Epoch(0.0, full.priors, ())) is None
 
 
 def wandered(rng, before, share):
@@ -88,7 +90,7 @@ def test_gauss_markov_errors_make_the_statistic_of_two_epochs_chi_square():
     results = []
     for _ in range(300):
         before = epoch(rng, mutual=True)
-        results.append(result_of(wandered(rng, before, 0.9), SignificanceLevels(), before, 0.9))
+        results.append(result_of(wandered(rng, before, 0.9), before, 0.9))
     degrees = {v.degrees_of_freedom for v in results}
     assert degrees == {2 * (16 - 2)}
     # Mean of 300 values of variance 56: sigma 0.43, band of four.
@@ -111,10 +113,10 @@ def test_a_fault_below_the_stated_sigma_is_detected_in_its_change():
             now = np.linalg.norm(np.subtract(*(priors[v].position_enu_m for v in residual.pair)))
             residuals.append(RangeResidual(*residual.pair, float(residual.residual_m + was - now), residual.sigma_m))
         faulted = Epoch(5.0, priors, tuple(residuals))
-        alone += not result_of(faulted, SignificanceLevels()).is_consistent
-        result = result_of(faulted, SignificanceLevels(), before, 0.95)
+        alone += not result_of(faulted).is_consistent
+        result = result_of(faulted, before, 0.95)
         changed += not result.is_consistent
-        named += isolate(faulted, (before, 0.95), SignificanceLevels()).isolated.keys() == {1}
+        named += isolate(faulted, (before, 0.95)).isolated.keys() == {1}
     assert alone <= 4
     assert changed >= 36
     assert named >= 30
@@ -125,11 +127,11 @@ def test_the_separation_is_the_displacement_without_the_faulty_vehicle():
     it adds.
     """
     rng = np.random.default_rng(10)
-    offsets = [result_of(epoch(rng, mutual=True), SignificanceLevels()).offset_m(5) for _ in range(40)]
+    offsets = [result_of(epoch(rng, mutual=True)).offset_m(5) for _ in range(40)]
     # Where four ranges put it against priors of 1.5 m: sigma about 1.5 m per axis, of the mean of 40 about 0.25 m.
     np.testing.assert_allclose(np.mean(offsets, axis=0), [-8.0, 6.0], atol=1.0)
-    fault_free = result_of(epoch(rng, mutual=True), SignificanceLevels())
+    fault_free = result_of(epoch(rng, mutual=True))
     assert not fault_free.separation_m2[5].any()
-    faulted = result_of(epoch(rng, mutual=True, faults={1: (16.0, -12.0, 0.0)}), SignificanceLevels())
+    faulted = result_of(epoch(rng, mutual=True, faults={1: (16.0, -12.0, 0.0)}))
     # The offset without the faulty vehicle is the 10 m again, to three sigmas of the place that three ranges give.
     assert np.sqrt(np.trace(faulted.separation_m2[5])) == pytest.approx(10.0, abs=7.0)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual
-from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels, chi2_limit, run_tests
-from gcs_coloc.core.integrity.epoch_tests.inconsistency import explain_inconsistency
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import REST_LEVEL, RULED_OUT_MARGIN, chi2_limit, run_tests
+from gcs_coloc.core.integrity.epoch_tests.noise_evidence import explain_inconsistency
 from gcs_coloc.core.integrity.epoch_tests.noise_model import (
     NoiseModel,
     clearly_smaller_noise,
@@ -15,7 +15,6 @@ from gcs_coloc.core.integrity.epoch_tests.noise_model import (
 from gcs_coloc.core.integrity.epoch_tests.pair_outliers import pair_outliers
 
 SIGMA_GPS_M, SIGMA_RANGE_M = 1.5, 0.6
-LEVELS = SignificanceLevels()
 SEEDS = range(12)
 
 
@@ -51,8 +50,8 @@ def epoch(
 
 def explained(seed, **errors):
     whole = epoch(np.random.default_rng(seed), **errors)
-    (result,) = run_tests(whole, LEVELS, [(None, 0.0)])
-    return explain_inconsistency(whole, result, NoiseModel(), LEVELS, ())
+    (result,) = run_tests(whole, [(None, 0.0)])
+    return explain_inconsistency(whole, result, NoiseModel(), ())
 
 
 def test_devices_with_lasting_errors_are_noise_of_about_their_size():
@@ -82,7 +81,7 @@ def test_errors_of_devices_are_far_likelier_than_an_error_of_each_pair(answered)
         stated = epoch(np.random.default_rng(seed), scale=0.01, answered=answered)
         of_devices = restricted_likelihood(NoiseModel(device_scale=0.01).apply(stated)).cost
         of_pairs = min(restricted_likelihood(NoiseModel(range_bias_m=size_m).apply(stated)).cost for size_m in (2.0, 4.0, 8.0))
-        assert of_devices < of_pairs - LEVELS.margin
+        assert of_devices < of_pairs - RULED_OUT_MARGIN
 
 
 @pytest.mark.parametrize("answered", [0.0, 0.5, 1.0])
@@ -90,17 +89,17 @@ def test_with_the_noise_that_is_found_the_tests_find_no_contradiction(answered):
     """They take the errors of devices as independent by pair, which the likelihood does not."""
     for seed in SEEDS:
         stated = epoch(np.random.default_rng(seed), scale=0.01, answered=answered)
-        found = likeliest_noise(stated, NoiseModel(), LEVELS)
+        found = likeliest_noise(stated, NoiseModel())
         if found is not None:
-            (result,) = run_tests(found.model.apply(stated), LEVELS, [(None, 0.0)])
-            assert result.statistic <= chi2_limit(result.degrees_of_freedom, LEVELS.rest)
+            (result,) = run_tests(found.model.apply(stated), [(None, 0.0)])
+            assert result.statistic <= chi2_limit(result.degrees_of_freedom, REST_LEVEL)
 
 
 @pytest.mark.parametrize("noise", [NoiseModel(range_bias_m=8.0), NoiseModel(device_bias_m=8.0)], ids=["pairs", "devices"])
 def test_errors_that_last_hide_no_step(noise):
     for seed in SEEDS:
         then, now = (noise.apply(epoch(np.random.default_rng(seed), walked_m=walked_m)) for walked_m in (0.0, 15.0))
-        (result,) = run_tests(now, LEVELS, [(then, 0.9)])
+        (result,) = run_tests(now, [(then, 0.9)])
         assert not result.is_consistent
 
 
@@ -142,7 +141,7 @@ def test_a_sound_fleet_is_as_stated():
 
 def test_more_than_half_of_the_pairs_are_never_left_out():
     off = {(i, j) for i in range(1, 5) for j in range(i + 1, 6)}
-    assert pair_outliers(epoch(np.random.default_rng(1), off=off), LEVELS) is None
+    assert pair_outliers(epoch(np.random.default_rng(1), off=off)) is None
 
 
 def test_noise_is_forgotten_where_it_acts_no_longer():
@@ -165,16 +164,13 @@ def test_noise_is_told_while_it_is_more_than_nothing_and_each_component_is_forgo
 
 def test_noise_that_blocked_ranges_brought_about_is_taken_back():
     """The ranges are as stated again; 8 m were the likeliest while half of them were off."""
-    found = [clearly_smaller_noise(epoch(np.random.default_rng(seed)), NoiseModel(range_bias_m=8.0), LEVELS) for seed in SEEDS]
+    found = [clearly_smaller_noise(epoch(np.random.default_rng(seed)), NoiseModel(range_bias_m=8.0)) for seed in SEEDS]
     assert all(noise is not None and noise.range_bias_m <= 2.0 for noise in found)
 
 
 def test_it_is_taken_back_while_some_pair_is_off_still():
     off = {(2, 3)}
-    found = [
-        clearly_smaller_noise(epoch(np.random.default_rng(seed), off=off), NoiseModel(device_scale=0.02), LEVELS)
-        for seed in SEEDS
-    ]
+    found = [clearly_smaller_noise(epoch(np.random.default_rng(seed), off=off), NoiseModel(device_scale=0.02)) for seed in SEEDS]
     assert all(noise is not None and noise.device_scale <= 0.005 for noise in found)
     assert sum(noise.pairs_off == off for noise in found) >= 10  # in two a smaller share of the range remains, which hides it
 
@@ -189,7 +185,7 @@ def test_it_is_taken_back_while_some_pair_is_off_still():
 )
 def test_noise_that_acts_is_not_taken_back(errors, present):
     """In one draw of the twelve at most half of it may do, as the errors are drawn; a tenth of it never does."""
-    found = [clearly_smaller_noise(epoch(np.random.default_rng(seed), **errors), present, LEVELS) for seed in SEEDS]
+    found = [clearly_smaller_noise(epoch(np.random.default_rng(seed), **errors), present) for seed in SEEDS]
     assert sum(noise is not None for noise in found) <= 1
     assert all(noise is None or not noise.is_as_stated for noise in found)
 
@@ -199,7 +195,7 @@ def test_where_ranges_test_nothing_the_noise_stays():
     whole = epoch(np.random.default_rng(1))
     pair = {v: whole.priors[v]._replace(no_prior=v == 2) for v in (1, 2)}
     residuals = tuple(r for r in whole.residuals if set(r.pair) == {1, 2})[:1]
-    assert clearly_smaller_noise(Epoch(0.0, pair, residuals), NoiseModel(device_scale=0.02), LEVELS) is None
+    assert clearly_smaller_noise(Epoch(0.0, pair, residuals), NoiseModel(device_scale=0.02)) is None
 
 
 @pytest.mark.parametrize(

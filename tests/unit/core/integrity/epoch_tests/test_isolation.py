@@ -8,13 +8,12 @@ import pytest
 
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual
 from gcs_coloc.core.integrity.epoch_tests.fault_model import AdjustedHypothesis, FaultKind
-from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels, run_tests
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import RULED_OUT_MARGIN, run_tests
 from gcs_coloc.core.integrity.epoch_tests.isolation import Isolation, isolate
 from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel
 from gcs_coloc.core.integrity.epoch_tests.pair_outliers import cost_of_two_pairs
 
 SIGMA_GPS_M, SIGMA_RANGE_M = 1.5, 0.6
-LEVELS = SignificanceLevels()
 
 
 def epoch(rng, vehicles, *, mutual, offsets=None, denied=(), added_m=None, scale=None, extent_m=1000.0):
@@ -41,12 +40,12 @@ def offset(rng, size_m):
 
 
 def is_alarmed(now):
-    (result,) = run_tests(now, LEVELS, [(None, 0.0)])
+    (result,) = run_tests(now, [(None, 0.0)])
     return result is not None and not result.is_consistent
 
 
 def isolated(now):
-    return set(isolate(now, (None, 0.0), LEVELS).isolated) if is_alarmed(now) else set()
+    return set(isolate(now, (None, 0.0)).isolated) if is_alarmed(now) else set()
 
 
 @pytest.mark.parametrize("size_m", [60.0, 120.0, 200.0, 500.0])
@@ -84,7 +83,7 @@ def test_where_half_of_the_vehicles_are_spoofed_alike_nobody_is_named(vehicles, 
         offsets = dict.fromkeys(range(1, spoofed + 1), offset(rng, 120.0))
         now = epoch(rng, vehicles, mutual=True, offsets=offsets, denied=denied)
         assert is_alarmed(now)
-        found = isolate(now, (None, 0.0), LEVELS)
+        found = isolate(now, (None, 0.0))
         assert found.isolated == {}
         assert found.possible >= set(range(1, vehicles + 1)) - set(denied)
 
@@ -106,7 +105,7 @@ def test_no_position_is_at_fault_where_a_device_has_a_wrong_scale(mutual, scale)
 def test_a_pair_whose_ranges_are_off_is_nobodys_fault():
     for seed in range(25):
         now = epoch(np.random.default_rng(seed), 5, mutual=True, added_m={(1, 3): 25.0, (3, 1): 25.0})
-        best = isolate(now, (None, 0.0), LEVELS).plausible[0]
+        best = isolate(now, (None, 0.0)).plausible[0]
         assert (best.kind, best.vehicles) == (FaultKind.PAIR, (1, 3))
         assert not isolated(now)
 
@@ -115,7 +114,7 @@ def test_with_one_range_to_the_faulty_vehicle_nothing_is_isolated():
     """The range itself may as well be at fault."""
     for seed in range(25):
         now = epoch(np.random.default_rng(seed), 5, mutual=False, denied=(1,), offsets={2: (-60.0, 0.0)})
-        found = isolate(now, (None, 0.0), LEVELS)
+        found = isolate(now, (None, 0.0))
         assert not is_alarmed(now) or (not found.isolated and FaultKind.PAIR in {each.kind for each in found.plausible})
 
 
@@ -131,7 +130,7 @@ def test_among_five_peers_or_six_that_one_vehicle_ranges_the_one_that_is_off_is_
         now = epoch(rng, peers + 1, mutual=False, denied=(1,), offsets={2: offset(rng, 60.0)})
         if not is_alarmed(now):
             continue
-        found = isolate(now, (None, 0.0), LEVELS)
+        found = isolate(now, (None, 0.0))
         assert 2 in found.possible
         assert not found.isolated
         alone += found.possible == {2}
@@ -143,7 +142,7 @@ def test_of_four_peers_that_one_vehicle_ranges_any_two_may_be_off_alike():
     for seed in range(40):
         rng = np.random.default_rng([seed, 4])
         now = epoch(rng, 5, mutual=False, denied=(1,), offsets={2: offset(rng, 60.0)})
-        assert not is_alarmed(now) or len(isolate(now, (None, 0.0), LEVELS).possible) > 1
+        assert not is_alarmed(now) or len(isolate(now, (None, 0.0)).possible) > 1
 
 
 def explanation(*vehicles, cost):
@@ -173,7 +172,7 @@ def test_who_reports_trouble_of_his_own_is_named_where_the_ranges_alone_leave_it
         if not is_alarmed(now) or isolated(now):
             continue
         open_ += 1
-        named += set(isolate(now, (None, 0.0), LEVELS, troubled=(1,)).isolated) == {1}
+        named += set(isolate(now, (None, 0.0), troubled=(1,)).isolated) == {1}
     assert open_ >= 8
     assert named >= 0.8 * open_
 
@@ -182,7 +181,7 @@ def test_the_size_is_that_of_the_step():
     """Three sigmas of a position from five ranges to priors of 1.5 m."""
     for seed in range(20):
         rng = np.random.default_rng(seed)
-        (found,) = isolate(epoch(rng, 6, mutual=True, offsets={1: offset(rng, 200.0)}), (None, 0.0), LEVELS).isolated.values()
+        (found,) = isolate(epoch(rng, 6, mutual=True, offsets={1: offset(rng, 200.0)}), (None, 0.0)).isolated.values()
         assert found == pytest.approx(200.0, abs=8.0)
 
 
@@ -194,7 +193,7 @@ def test_twelve_vehicles_with_ranges_among_all_name_the_one_at_fault():
 
 
 def isolated_where_pairs_fail(now):
-    return set(isolate(now, (None, 0.0), LEVELS, pairs_fail=True).isolated) if is_alarmed(now) else set()
+    return set(isolate(now, (None, 0.0), pairs_fail=True).isolated) if is_alarmed(now) else set()
 
 
 def test_two_pairs_that_are_off_at_once_do_not_name_the_vehicle_that_they_share():
@@ -224,7 +223,7 @@ def test_peers_that_report_trouble_of_their_own_are_named_where_two_pairs_would_
     for seed in range(40):
         rng = np.random.default_rng(seed)
         now = epoch(rng, 8, mutual=False, offsets=dict.fromkeys((2, 3), offset(rng, 100.0)))
-        named.append(set(isolate(now, (None, 0.0), LEVELS, troubled=(2, 3)).isolated))
+        named.append(set(isolate(now, (None, 0.0), troubled=(2, 3)).isolated))
     assert named.count({2, 3}) >= 30
 
 
@@ -240,8 +239,8 @@ def test_two_pairs_that_are_off_at_once_name_nobody_where_the_ranges_are_coarse_
         assert isolated_where_pairs_fail(now) == set()
         if isolated(now):
             named_otherwise += 1
-            [best, *_] = isolate(now, (None, 0.0), LEVELS).plausible
-            assert cost_of_two_pairs(now, (None, 0.0), 3) < best.cost + 0.5 * LEVELS.margin
+            [best, *_] = isolate(now, (None, 0.0)).plausible
+            assert cost_of_two_pairs(now, (None, 0.0), 3) < best.cost + 0.5 * RULED_OUT_MARGIN
     assert named_otherwise > 0
 
 
@@ -252,7 +251,7 @@ def test_two_receivers_that_are_off_each_its_own_way_do_not_name_a_sound_one(see
     wrong = {2: offset(rng, size_m * rng.uniform(0.2, 1.0)), 3: offset(rng, size_m)}
     now = epoch(rng, 5, mutual=True, offsets=wrong, denied=(1,))
     assert is_alarmed(now)
-    [best, *_] = isolate(now, (None, 0.0), LEVELS).plausible
+    [best, *_] = isolate(now, (None, 0.0)).plausible
     assert set(best.vehicles).isdisjoint(wrong)  # likelier, as two such faults at once are so rare
     assert isolated(now) == set()
 
@@ -274,7 +273,7 @@ def test_a_fault_has_changed_by_as_much_as_the_ranges_clearly_show(then_m, now_m
     """A change of 2 m is not clear. Ranges of a metre in both epochs leave 2.5 m."""
     for seed in range(10):
         then, now = (epoch(np.random.default_rng(seed), 6, mutual=True, offsets={6: (size_m, 0.0)}) for size_m in (then_m, now_m))
-        found = isolate(now, (then, 0.8), LEVELS)
+        found = isolate(now, (then, 0.8))
         assert found.isolated.keys() == {6}
         assert found.changes_m.keys() == {6}
         assert found.changes_m[6] == pytest.approx(change_m, abs=2.5 if change_m else 0.0)
@@ -282,7 +281,7 @@ def test_a_fault_has_changed_by_as_much_as_the_ranges_clearly_show(then_m, now_m
 
 def test_of_one_epoch_alone_no_fault_shows_that_it_has_changed():
     now = epoch(np.random.default_rng(1), 6, mutual=True, offsets={6: (20.0, 0.0)})
-    assert isolate(now, (None, 0.0), LEVELS).changes_m == {6: 0.0}
+    assert isolate(now, (None, 0.0)).changes_m == {6: 0.0}
 
 
 def ring(rng, *, device_m, without_prior=True, arc=2.0 * pi, sigma_gps_m=SIGMA_GPS_M):
@@ -301,7 +300,7 @@ def ring(rng, *, device_m, without_prior=True, arc=2.0 * pi, sigma_gps_m=SIGMA_G
 
 
 def explained(**drawn):
-    return [isolate(ring(np.random.default_rng(seed), **drawn), (None, 0.0), LEVELS) for seed in range(40)]
+    return [isolate(ring(np.random.default_rng(seed), **drawn), (None, 0.0)) for seed in range(40)]
 
 
 @pytest.mark.parametrize("device_m", [-2.0, 2.0])
@@ -335,6 +334,6 @@ def test_a_device_that_was_off_in_the_earlier_epoch_too_is_off_by_as_much_and_by
     found_m = []
     for seed in range(20):
         now, then = (ring(np.random.default_rng([seed, n]), device_m=3.0, without_prior=False, sigma_gps_m=0.1) for n in (0, 1))
-        found = isolate(replace(now, at_s=5.0), (then, 0.8), LEVELS)
+        found = isolate(replace(now, at_s=5.0), (then, 0.8))
         found_m.append(next(each.size_m for each in found.plausible if each.kind is FaultKind.DEVICE))
     assert np.median(found_m) == pytest.approx(3.0, abs=0.6)
