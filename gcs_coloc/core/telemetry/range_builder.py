@@ -8,6 +8,7 @@ further noise. It states that part apart as well, for an estimator that models c
 
 from __future__ import annotations
 
+from collections import defaultdict
 from math import hypot
 from typing import NamedTuple
 
@@ -19,9 +20,8 @@ from gcs_coloc.core.reasons import CoreRefusal
 from gcs_coloc.core.stations.node_id import node_name
 from gcs_coloc.core.stations.stations import Station
 from gcs_coloc.core.telemetry.measurement_settings import MeasurementSettings
-from gcs_coloc.core.telemetry.nlos_detector import NlosDetector
 from gcs_coloc.core.telemetry.position_builder import receiver_accuracy
-from gcs_coloc.core.telemetry.repeated_ranges import RangeRepeats
+from gcs_coloc.core.telemetry.range_checks import RangeChecks
 from gcs_coloc.core.telemetry.reported_state import ReportedState
 
 _SIGMA_GAIN = 0.1  # of each range in the mean of late; chosen: it follows within about a second at 10 Hz
@@ -40,25 +40,21 @@ class RangeBuilder:
 
     def __init__(self, settings: MeasurementSettings) -> None:
         self._settings = settings
-        self._repeats: dict[int, RangeRepeats] = {}
-        self._nlos: dict[int, NlosDetector] = {}
+        self._checks: defaultdict[int, RangeChecks] = defaultdict(RangeChecks)
         self._sigmas_m: dict[int, float] = {}
 
     def forget(self, sysid: int) -> None:
         """Forget the ranging devices of a vehicle; what those of others ranged of it is bounded by itself."""
-        self._repeats.pop(sysid, None)
-        self._nlos.pop(sysid, None)
+        self._checks.pop(sysid, None)
         self._sigmas_m.pop(sysid, None)
 
     def build(
         self, message: PeerRange, vehicle: ReportedState, peer: ReportedState | Station, measured: ServiceTime
     ) -> BuiltRange:
         """Build a range of a vehicle to another one or a station."""
-        repeats = self._repeats.get(message.sysid)
-        if repeats is None:
-            repeats = self._repeats[message.sysid] = RangeRepeats()
-        was_stuck = (message.peer, message.device_id) in repeats.stuck
-        is_stuck = repeats.add(message.peer, message.device_id, message.range_m, message.measured_at_s)
+        checks = self._checks[message.sysid]
+        repeats = checks.of(message.peer, message.device_id).repeats
+        was_stuck, is_stuck = repeats.stuck, repeats.add(message.range_m, message.measured_at_s)
         notice = _device_notice(message, is_stuck=is_stuck) if is_stuck is not was_stuck else None
         if is_stuck:
             return BuiltRange(None, notice, CoreRefusal.RANGE_REPEATED)
@@ -69,11 +65,8 @@ class RangeBuilder:
             self._update_sigma(peer, hypot(sigma_m, self._position_sigma_m(vehicle)))
         speed_mps, range_m = _relative_speed_mps(vehicle, peer), self._calibrated_m(message, peer)
         late_m = speed_mps * measured.sigma_s
-        nlos = self._nlos.get(message.sysid)
-        if nlos is None:
-            nlos = self._nlos[message.sysid] = NlosDetector()
         sigma_m = hypot(sigma_m, late_m)
-        if nlos.add(message.peer, message.device_id, measured.at_s, range_m, sigma_m, speed_mps):
+        if checks.has_jumped(message.peer, message.device_id, measured.at_s, range_m, sigma_m, speed_mps):
             return BuiltRange(None, notice, CoreRefusal.RANGE_JUMPED)
         by_own_clock = message.measured_at_s is not None and message.time_base is not TimeBase.SERVICE
         measurement = RangeMeasurement(

@@ -21,8 +21,7 @@ from gcs_coloc.core.messages.inbound import (
     TimeSyncAnswer,
 )
 from gcs_coloc.core.messages.outbound import ParameterSet
-from gcs_coloc.core.telemetry.nlos_detector import NlosDetector
-from gcs_coloc.core.telemetry.repeated_ranges import RangeRepeats
+from gcs_coloc.core.telemetry.range_checks import RangeChecks
 
 KNOWN, FOUNDERS, FORGED = (1, 2, 3, 4), (50, 51), range(100, 116)
 
@@ -70,7 +69,7 @@ def keys_below(root: object) -> Iterator[int]:
     seen, waiting = set(), [root]
     while waiting:
         one = waiting.pop()
-        if id(one) in seen or isinstance(one, (str, bytes, int, float, type, StraightLine, RangeRepeats, NlosDetector)):
+        if id(one) in seen or isinstance(one, (str, bytes, int, float, type, StraightLine, RangeChecks)):
             continue
         seen.add(id(one))
         if isinstance(one, Mapping | Set):

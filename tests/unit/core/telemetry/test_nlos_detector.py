@@ -7,7 +7,7 @@ from math import cos, hypot, sin
 import numpy as np
 import pytest
 
-from gcs_coloc.core.telemetry.nlos_detector import NlosDetector, RangeTrack
+from gcs_coloc.core.telemetry.range_checks import RangeChecks, RangeTrack
 
 STEP_S, SIGMA_M = 0.2, 1.0
 
@@ -112,20 +112,22 @@ def test_a_clock_that_jumped_back_does_not_lock_a_way_around_in():
 
 
 def test_each_peer_and_each_device_is_judged_by_itself():
-    jumps = NlosDetector()
+    jumps = RangeChecks()
     for k in range(10):
-        assert not jumps.add(1, 0, 0.2 * k, 100.0, 0.1, 0.0)
-        assert not jumps.add(2, 0, 0.2 * k, 200.0, 0.1, 0.0)
-        assert not jumps.add(1, 1, 0.2 * k, 120.0, 0.1, 0.0)
-    assert jumps.add(1, 0, 2.0, 120.0, 0.1, 0.0)
-    assert not jumps.add(1, 1, 2.0, 120.0, 0.1, 0.0)
+        assert not jumps.has_jumped(1, 0, 0.2 * k, 100.0, 0.1, 0.0)
+        assert not jumps.has_jumped(2, 0, 0.2 * k, 200.0, 0.1, 0.0)
+        assert not jumps.has_jumped(1, 1, 0.2 * k, 120.0, 0.1, 0.0)
+    assert jumps.has_jumped(1, 0, 2.0, 120.0, 0.1, 0.0)
+    assert not jumps.has_jumped(1, 1, 2.0, 120.0, 0.1, 0.0)
 
 
 def test_a_device_whose_ranges_all_jump_is_no_way_around():
     """Another device of the vehicle says nothing of it. It is told by the residuals: `all of its ranges jumped`."""
-    jumps, seen = NlosDetector(), []
+    jumps, seen = RangeChecks(), []
     for k in range(30):
         off_m = 20.0 if k >= 15 else 0.0
-        assert not jumps.add(1, 7, 0.2 * k, 100.0, 0.1, 0.0)
-        seen += [(k, peer) for peer in (1, 2, 3) if jumps.add(peer, 0, 0.2 * k + 0.05 * peer, 100.0 * peer + off_m, 0.1, 0.0)]
+        assert not jumps.has_jumped(1, 7, 0.2 * k, 100.0, 0.1, 0.0)
+        seen += [
+            (k, peer) for peer in (1, 2, 3) if jumps.has_jumped(peer, 0, 0.2 * k + 0.05 * peer, 100.0 * peer + off_m, 0.1, 0.0)
+        ]
     assert seen == [(15, 1), (15, 2)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gcs_coloc.core.telemetry.pressure_height import PressureHeights, pressure_altitude_m
+from gcs_coloc.core.telemetry.altitude_builder import PressureHeights, pressure_altitude_m
 
 
 def pressure_hpa(alt_m: float, qnh_hpa: float) -> float:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_coloc.core.telemetry.repeated_ranges import RepeatedRange
+from gcs_coloc.core.telemetry.range_checks import RepeatedRange
 
 EVERY_S = 0.1
 CROSSING_MPS, FORMATION_MPS = 15.0, 0.3
