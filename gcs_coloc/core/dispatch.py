@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from gcs_coloc.core.aiding.aiding import Aiding
-from gcs_coloc.core.aiding.vetted_ranges import VettedRanges
+from gcs_coloc.core.aiding.methods.ranging_beacon import VettedRanges
 from gcs_coloc.core.clocks.fleet_clocks import FleetClocks
 from gcs_coloc.core.estimator import GuardedEstimator
 from gcs_coloc.core.gps_health.gps_health import FleetGpsHealth, GpsState

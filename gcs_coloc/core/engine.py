@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 
 from gcs_coloc.core.aiding.aiding import Aiding
 from gcs_coloc.core.aiding.inhibit import InhibitReason
+from gcs_coloc.core.aiding.methods.ranging_beacon import VettedRanges
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.aiding.stream import AidingDecision
-from gcs_coloc.core.aiding.vetted_ranges import VettedRanges
 from gcs_coloc.core.clocks.fleet_clocks import FleetClocks
 from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
 from gcs_coloc.core.dispatch import MessageDispatch, Stages

@@ -8,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from math import inf
 
+from gcs_coloc.core.aiding.methods.method import FixInputs
 from gcs_coloc.core.aiding.settings import AidingSettings
-from gcs_coloc.core.aiding.stream import AidingDecision, AidingView, FixInputs
+from gcs_coloc.core.aiding.stream import AidingDecision, AidingView
 from gcs_coloc.core.dispatch import LastRound, Stages
 from gcs_coloc.core.gps_health.evidence import GpsEvidence
 from gcs_coloc.core.gps_health.gps_health import DISTRUSTED, GpsState

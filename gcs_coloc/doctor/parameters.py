@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 from gcs_coloc.core.aiding.methods.gps_input import DELAY_MS
-from gcs_coloc.core.aiding.px4 import AGP_CONTROL, AGP_ID, AGP_SLOTS, EV_CONTROL
+from gcs_coloc.core.aiding.methods.px4_positions import AGP_CONTROL, AGP_ID, AGP_SLOTS, EV_CONTROL
 from gcs_coloc.core.messages.inbound import Autopilot
 from gcs_coloc.doctor.finding import Finding, Severity, right, stop
 

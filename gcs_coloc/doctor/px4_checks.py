@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gcs_coloc.core.aiding.px4 import AGP_CONTROL, AGP_ID, AGP_SLOTS, EV_CONTROL, HORIZONTAL, SENSOR_ID
+from gcs_coloc.core.aiding.methods.px4_positions import AGP_CONTROL, AGP_ID, AGP_SLOTS, EV_CONTROL, HORIZONTAL, SENSOR_ID
 from gcs_coloc.core.aiding.settings import AidingMethodName
 from gcs_coloc.doctor import parameters as p
 from gcs_coloc.doctor.finding import Finding, Severity, VehicleSurvey, note, stop

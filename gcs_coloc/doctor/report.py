@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from gcs_coloc.core.aiding.methods.px4_positions import px4_method
 from gcs_coloc.core.aiding.methods.registry import METHODS, method_for, mismatch
-from gcs_coloc.core.aiding.px4 import px4_method
 from gcs_coloc.core.aiding.settings import AidingMethodName
 from gcs_coloc.core.messages.control import ALL_WOULD_USE_IT, OWN_ADDRESS
 from gcs_coloc.core.messages.inbound import FIX_3D, Autopilot

@@ -13,7 +13,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.aiding.px4 import SENSOR_ID
+from gcs_coloc.core.aiding.methods.px4_positions import SENSOR_ID
 from gcs_coloc.core.messages.outbound import (
     ExternalPosition,
     GlobalPositionSensor,

@@ -10,13 +10,13 @@ from collections.abc import Callable
 
 from gcs_coloc.core.aiding.acknowledgement import FixAcknowledgement
 from gcs_coloc.core.aiding.inhibit import ForeignGpsInputMonitor, Inhibit, InhibitAlarms, InhibitReason, Standby
-from gcs_coloc.core.aiding.methods.method import MethodContext
-from gcs_coloc.core.aiding.methods.registry import METHODS, feeds_receiver, method_for, mismatch
+from gcs_coloc.core.aiding.methods.method import FixInputs, MethodContext
+from gcs_coloc.core.aiding.methods.px4_positions import Px4Methods
+from gcs_coloc.core.aiding.methods.registry import METHODS, method_for, mismatch
 from gcs_coloc.core.aiding.parameters import Parameters
-from gcs_coloc.core.aiding.px4 import Px4Methods
 from gcs_coloc.core.aiding.receiver_switch import ReceiverSwitch
 from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
-from gcs_coloc.core.aiding.stream import AidingDecision, AidingStream, AidingView, EstimateAt, FixInputs, Purpose
+from gcs_coloc.core.aiding.stream import AidingDecision, AidingStream, AidingView, EstimateAt, Purpose
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.messages.control import (
@@ -326,5 +326,5 @@ class Aiding:
             if stream.purpose_for_s(now_s) < self._settings.hand_back_s or self._switch.switching(sysid):
                 return Purpose.HAND_BACK
         # Any other method than GPS_INPUT would be fused at once.
-        feeds = feeds_receiver(self._method(vehicle))
+        feeds = METHODS[self._method(vehicle)].feeds_receiver
         return Purpose.STANDBY if self._settings.standby and feeds and gps_state in _STANDBY_STATES else None

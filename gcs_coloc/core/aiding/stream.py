@@ -9,10 +9,9 @@ from math import sqrt
 
 from gcs_coloc.core.aiding.fix_policy import FixPolicy
 from gcs_coloc.core.aiding.inhibit import Inhibit, InhibitReason
-from gcs_coloc.core.aiding.methods.method import AidingMethod, Moment, no_clock, nowhere
-from gcs_coloc.core.aiding.methods.registry import METHODS, acknowledgement_of, feeds_receiver
+from gcs_coloc.core.aiding.methods.method import AidingMethod, FixInputs, Moment
+from gcs_coloc.core.aiding.methods.registry import METHODS
 from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
-from gcs_coloc.core.aiding.vetted_ranges import VettedRange
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate, NoEstimate
 from gcs_coloc.core.messages.control import AidingOverride, PrimaryOverride
@@ -34,27 +33,6 @@ class Purpose(Enum):
     AID = "aid"
     HAND_BACK = "handing back"
     STANDBY = "standby"
-
-
-@dataclass(frozen=True, slots=True)
-class FixInputs:
-    """What earlier stages know of a vehicle at the time of one message.
-
-    `is_trusted`: its own receiver is in its estimate. `has_air_data`: airspeed and bank show how it moves. `is_aligned`: its EKF
-    reports an absolute position. `one_way_delay_s`: the least delay of its link. `range_sigma_m`: 1-sigma of its ranges of late.
-    `median_nis`, `range_jump_m`: how its ranges fit. `ranges`, `locate_node`, `boot_s`: as `Moment` has them.
-    """
-
-    is_trusted: bool
-    has_air_data: bool
-    is_aligned: bool
-    one_way_delay_s: float | None
-    range_sigma_m: float | None
-    median_nis: float | None
-    range_jump_m: float | None
-    ranges: tuple[VettedRange, ...] = ()
-    locate_node: EstimateAt = nowhere
-    boot_s: Callable[[float], float | None] = no_clock
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +96,7 @@ class AidingStream:
         self._schedule = schedule
         self._transmits = transmits
         self._settings = settings
-        self.acknowledgement = acknowledgement_of(name, settings.gps_id, now_s) if transmits else None
+        self.acknowledgement = METHODS[name].acknowledgement(settings.gps_id, now_s) if transmits else None
         self._policy = FixPolicy(settings, now_s)
         self._period_s = METHODS[name].period_s or 1.0 / settings.rate_hz
         self._told_has_fix: bool | None = None
@@ -190,13 +168,9 @@ class AidingStream:
             utc_minus_service_s=utc_minus_service_s,
             where=where,
             inhibit=inhibit,
-            range_sigma_m=inputs.range_sigma_m,
+            known=inputs,
             standby=not is_aid,
-            is_aligned=inputs.is_aligned,
             transmits=self._transmits,
-            ranges=inputs.ranges,
-            locate_node=inputs.locate_node,
-            boot_s=inputs.boot_s,
         )
         out: list[Outbound] = list(self.method.build_messages(moment))
         for message in out:
@@ -227,7 +201,7 @@ class AidingStream:
         if is_switching:
             return override is PrimaryOverride.OURS or is_automatic
         acknowledged = self.acknowledgement.acknowledged
-        if self.inhibit is not None or acknowledged is False or (acknowledged is None and feeds_receiver(self.name)):
+        if self.inhibit is not None or acknowledged is False or (acknowledged is None and METHODS[self.name].feeds_receiver):
             return False
         return override is PrimaryOverride.OURS or (is_automatic and is_lost)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gcs_coloc.core.aiding.methods.method import MethodContext, Moment
+from gcs_coloc.core.aiding.methods.method import AidingMethod, MethodContext, Moment
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.measurements import NoEstimate
 from gcs_coloc.core.messages.inbound import CommandOutcome, CommandResult, VehicleCommand
@@ -27,13 +27,11 @@ _ACCEPTED_PERIODS = 3.5  # an acceptance holds for so long; chosen: three lost a
 _WRAPS_S = 32_768.0  # param1 is a 32-bit float: 2 ms apart here
 
 
-class ExternalPositionMethod:
+class ExternalPositionMethod(AidingMethod):
     """MAV_CMD_EXTERNAL_POSITION_ESTIMATE at a low rate, its answers watched."""
 
-    age_s = 0.0
-
     def __init__(self, context: MethodContext) -> None:
-        self._sysid = context.sysid
+        super().__init__(context)
         self._clock_began_s = context.first_heard_s
         self._period_s = 1.0 / context.settings.external_rate_hz
         self._refused = context.refused
@@ -43,13 +41,13 @@ class ExternalPositionMethod:
         self._unanswered = 0
 
     def build_messages(self, moment: Moment) -> Sequence[AidingMessage | Notice]:
-        """As the protocol says."""
+        """As the base says."""
         frame = moment.frame
         if moment.inhibit is not None or frame is None or moment.standby or self._outcome is CommandOutcome.UNSUPPORTED:
             return []
         if moment.now_s < self._due_s:
             return []
-        where = moment.locate_node(self._sysid, moment.arrives_s)
+        where = moment.known.locate_node(self._sysid, moment.arrives_s)
         if isinstance(where, NoEstimate):
             return []
         late = moment.now_s - self._due_s > self._period_s
@@ -66,12 +64,8 @@ class ExternalPositionMethod:
         """Return whether the vehicle accepts the estimates, as it does while it dead-reckons."""
         return self._outcome is CommandOutcome.ACCEPTED and now_s - self._accepted_at_s <= _ACCEPTED_PERIODS * self._period_s
 
-    def build_last_messages(self) -> Sequence[AidingMessage]:
-        """As the protocol says: the command cannot say that there is no position."""
-        return []
-
     def add_result(self, result: CommandResult) -> Sequence[Notice]:
-        """As the protocol says."""
+        """As the base says."""
         outcome = result.outcome
         if result.command is not VehicleCommand.EXTERNAL_POSITION_ESTIMATE or outcome is CommandOutcome.IN_PROGRESS:
             return []
@@ -87,11 +81,7 @@ class ExternalPositionMethod:
         return [Notice(result.received_at_s, self._sysid, level, text)] if is_new else []
 
     def with_fix(self) -> str:
-        """As the protocol says."""
+        """As the base says."""
         if self._outcome is CommandOutcome.ACCEPTED:
             return "external position estimates"
         return f"external position estimates, not {'taken' if self._outcome is not None else 'answered yet'}"
-
-    def without_fix(self) -> str:
-        """As the protocol says."""
-        return "nothing"

@@ -11,11 +11,12 @@ fix_type 1: the autopilot then knows that the receiver lives and has no fix.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import sqrt
 
 from gcs_coloc.core.aiding.fix_policy import CHECK, SCALE, EkfGates
 from gcs_coloc.core.aiding.methods.external_position import ExternalPositionMethod
-from gcs_coloc.core.aiding.methods.method import MethodContext, Moment
+from gcs_coloc.core.aiding.methods.method import AidingMethod, MethodContext, Moment
 from gcs_coloc.core.clocks.utc import gps_week_and_ms
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m, worst_sigma
 from gcs_coloc.core.geodesy import LocalFrame
@@ -33,12 +34,12 @@ _UNKNOWN_DOP = 99.99
 _NOMINAL_RANGE_SIGMA_M = 2.0  # by which EKF3's limits are one: 5 m of horizontal accuracy, HDOP 2.5 (EK3_CHECK_SCALE=100)
 
 
-class GpsInputMethod:
+class GpsInputMethod(AidingMethod):
     """GPS_INPUT, the position of as long ago as the vehicle takes it to be."""
 
     def __init__(self, context: MethodContext) -> None:
+        super().__init__(context)
         self._lag_s = context.settings.lag_s
-        self._sysid = context.sysid
         self._gps_id = context.settings.gps_id
         self._parameters = context.parameters
 
@@ -52,7 +53,7 @@ class GpsInputMethod:
         return next((min(ms, _MOST_DELAY_MS) / 1e3 for ms in delays_ms if ms is not None and ms > 0.0), self._lag_s)
 
     def build_messages(self, moment: Moment) -> Sequence[AidingMessage | Notice]:
-        """As the protocol says: one GPS_INPUT, with a fix or without."""
+        """As the base says: one GPS_INPUT, with a fix or without."""
         for name in DELAY_MS[self._gps_id]:
             self._parameters.request(self._sysid, name, moment.now_s)
             if self._parameters.value(self._sysid, name) is not None:
@@ -60,23 +61,18 @@ class GpsInputMethod:
         at_s, utc = moment.arrives_s - self.age_s, moment.utc_minus_service_s
         unix_s = at_s + utc if utc is not None else None
         where = moment.where if moment.inhibit is None and isinstance(moment.where, Estimate) else None
-        return [gps_input(self._sysid, where, moment.frame, moment.range_sigma_m, unix_s, self._gps_id)]
+        return [gps_input(self._sysid, where, moment.frame, moment.known.range_sigma_m, unix_s, self._gps_id)]
 
     def build_last_messages(self) -> Sequence[AidingMessage]:
-        """As the protocol says: no fix."""
+        """As the base says: no fix."""
         return [no_fix(self._sysid, self._gps_id)]
 
-    def add_result(self, result: CommandResult) -> Sequence[Notice]:
-        """As the protocol says: no command is sent."""
-        del result
-        return []
-
     def with_fix(self) -> str:
-        """As the protocol says."""
+        """As the base says."""
         return "3D fix"
 
     def without_fix(self) -> str:
-        """As the protocol says."""
+        """As the base says."""
         return "no fix"
 
 
@@ -94,21 +90,16 @@ def gps_input(
     late (standby); `unix_s` is the UTC time of the answer, None where unknown.
     """
     week, week_ms = gps_week_and_ms(unix_s) if unix_s is not None else (0, 0)
-    time_usec = round(unix_s * 1e6) if unix_s is not None else 0
+    without = no_fix(sysid, gps_id, round(unix_s * 1e6) if unix_s is not None else 0, week, week_ms)
     if frame is None or answer is None:
-        return no_fix(sysid, gps_id, time_usec, week, week_ms)
-    east_m, north_m, up_m = answer.position_enu_m.tolist()
+        return without
     ve, vn, vu = answer.velocity_enu_mps.tolist()
-    lat_deg, lon_deg, alt_msl_m = frame.geodetic_from_enu(east_m, north_m, up_m)
+    lat_deg, lon_deg, alt_msl_m = frame.geodetic_from_enu(*answer.position_enu_m.tolist())
     vn_mps, ve_mps, vd_mps = frame.ned_from_enu_velocity(lat_deg, lon_deg, (ve, vn, vu))
     p = answer.covariance
     vert_accuracy_m = sqrt(float(p[2, 2]))
-    return GpsInput(
-        sysid=sysid,
-        gps_id=gps_id,
-        time_usec=time_usec,
-        gps_week=week,
-        gps_time_of_week_ms=week_ms,
+    return replace(
+        without,
         fix_type=FIX_3D,
         lat_deg=lat_deg,
         lon_deg=lon_deg,
@@ -157,7 +148,7 @@ _COARSE_FOR_S = 1.0  # chosen: a coarse moment changes nothing
 _FINE_FOR_S = 5.0  # chosen: longer than for coarse, so that the methods do not alternate
 
 
-class GpsInputOrExternalMethod:
+class GpsInputOrExternalMethod(AidingMethod):
     """GPS_INPUT, with external position estimates beside it where the fix is too coarse.
 
     The estimates are sent while the vehicle's EKF has no absolute position and would not align on GPS_INPUT.
@@ -168,9 +159,9 @@ class GpsInputOrExternalMethod:
     """
 
     def __init__(self, context: MethodContext) -> None:
+        super().__init__(context)
         self._gps = GpsInputMethod(context)
         self._external = ExternalPositionMethod(context)
-        self._sysid = context.sysid
         self._settings = context.settings
         self._parameters = context.parameters
         self._coarse: str | None = None
@@ -179,11 +170,11 @@ class GpsInputOrExternalMethod:
 
     @property
     def age_s(self) -> float:
-        """As the protocol says."""
+        """As the base says."""
         return self._gps.age_s
 
     def build_messages(self, moment: Moment) -> Sequence[AidingMessage | Notice]:
-        """As the protocol says."""
+        """As the base says."""
         for name in (CHECK, SCALE):
             self._parameters.request(self._sysid, name, moment.now_s)
         (message,) = self._gps.build_messages(moment)
@@ -191,7 +182,7 @@ class GpsInputOrExternalMethod:
         if moment.inhibit is not None or moment.standby:
             self._by_external = False
             return [message]
-        if moment.is_aligned and not self._external.is_accepted(moment.now_s):
+        if moment.known.is_aligned and not self._external.is_accepted(moment.now_s):
             was_coarse, self._coarse, self._changing_since_s, self._by_external = self._coarse, None, None, False
             text = "its EKF has an absolute position again: GPS_INPUT alone"
             return [message, Notice(moment.now_s, self._sysid, "info", text)] if was_coarse is not None else [message]
@@ -204,15 +195,15 @@ class GpsInputOrExternalMethod:
         return [stood_back if self._by_external else message, *out]
 
     def build_last_messages(self) -> Sequence[AidingMessage]:
-        """As the protocol says."""
+        """As the base says."""
         return self._gps.build_last_messages()
 
     def add_result(self, result: CommandResult) -> Sequence[Notice]:
-        """As the protocol says."""
+        """As the base says."""
         return self._external.add_result(result)
 
     def with_fix(self) -> str:
-        """As the protocol says."""
+        """As the base says."""
         if self._coarse is None:
             return self._gps.with_fix()
         if self._by_external:
@@ -220,7 +211,7 @@ class GpsInputOrExternalMethod:
         return f"{self._gps.with_fix()}, on which its EKF may not align: {self._coarse}"
 
     def without_fix(self) -> str:
-        """As the protocol says."""
+        """As the base says."""
         return self._gps.without_fix()
 
     def _update_coarse(self, message: GpsInput, now_s: float) -> list[AidingMessage | Notice]:

@@ -1,22 +1,31 @@
-"""The position messages that PX4 fuses as they arrive.
+"""The position messages that PX4 fuses as they arrive: which of them it takes, and from which origin.
 
 They are GLOBAL_POSITION_SENSOR, and VISION_POSITION_ESTIMATE for PX4 1.14 to 1.17.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
 from math import acos, cos, exp, log, radians, sin, sqrt
 
 import numpy as np
 
-from gcs_coloc.core.aiding.methods.method import MethodContext, Moment
+from gcs_coloc.core.aiding.methods.method import AidingMethod, MethodContext, Moment
+from gcs_coloc.core.aiding.parameters import Parameters
+from gcs_coloc.core.aiding.settings import AidingMethodName
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.measurements import Estimate, NoEstimate
-from gcs_coloc.core.messages.inbound import CommandResult, GlobalOrigin
-from gcs_coloc.core.messages.outbound import GlobalPositionSensor, Notice, VisionPosition
+from gcs_coloc.core.messages.inbound import GlobalOrigin
+from gcs_coloc.core.messages.outbound import GlobalPositionSensor, OriginRequest, VisionPosition
 
+SENSOR_ID = 1
+"""The id of our GLOBAL_POSITION_SENSOR, by which EKF2_AGPn_ID selects it."""
+AGP_SLOTS = range(4)  # PX4's MAX_AGP_INSTANCES
+AGP_CONTROL, AGP_ID, EV_CONTROL = "EKF2_AGP{}_CTRL", "EKF2_AGP{}_ID", "EKF2_EV_CTRL"
+_ORIGIN_RETRY_S, _ORIGIN_FRESH_S = 2.0, 30.0  # chosen: PX4 reports a new one by itself; 9 + 8 bytes cost a radio nothing
+HORIZONTAL = 1
+"""Bit of either control: the horizontal position is fused."""
 _EARTH_RADIUS_M = 6_371_000.0  # PX4's CONSTANTS_RADIUS_OF_EARTH
 _LEAD_S = 1.0  # chosen: ranges come several times in it, and the variance grows well beyond its rounding
 _MOST_CORRELATION_S = 20.0  # chosen: what is the same for longer is a bias, which no filter takes for noise
@@ -43,7 +52,7 @@ class CorrelatedPositions:
         # Without ranges nothing is forgotten; what counted before does so still.
         if moment.now_s >= self._due_s and where.ranges_in_use > 0:
             self._due_s = moment.now_s + _LEAD_S
-            ahead = moment.locate_node(where.vehicle, where.at_s + _LEAD_S)
+            ahead = moment.known.locate_node(where.vehicle, where.at_s + _LEAD_S)
             if isinstance(ahead, Estimate):
                 growth = _horizontal_m2(ahead) / _horizontal_m2(where)
                 least = exp(_LEAD_S / _MOST_CORRELATION_S)
@@ -56,16 +65,14 @@ def _horizontal_m2(estimate: Estimate) -> float:
     return float(np.trace(estimate.covariance[:2, :2]))
 
 
-class _FusedPosition(ABC):
+class _FusedPosition(AidingMethod):
     """A method whose position message PX4 stamps when it arrives.
 
     The message cannot say that there is no fix, so nothing is sent then.
     """
 
-    age_s = 0.0
-
     def __init__(self, context: MethodContext) -> None:
-        self._sysid = context.sysid
+        super().__init__(context)
         self._correlated = CorrelatedPositions(1.0 / context.settings.rate_hz)
 
     @abstractmethod
@@ -79,26 +86,13 @@ class _FusedPosition(ABC):
         return True
 
     def build_messages(self, moment: Moment) -> Sequence[GlobalPositionSensor | VisionPosition]:
-        """As the protocol says."""
+        """As the base says."""
         where, frame = moment.where, moment.frame
         if moment.inhibit is not None or isinstance(where, NoEstimate) or frame is None or not self._is_ready():
             return []
         geodetic = frame.geodetic_from_enu(*(float(x) for x in where.position_enu_m))
         sigma_h_m = horizontal_sigma_m(where.covariance) * self._correlated.factor(moment, where)
         return [self._message(moment.unix_us(moment.now_s), geodetic, sigma_h_m, sqrt(float(where.covariance[2, 2])))]
-
-    def build_last_messages(self) -> Sequence[GlobalPositionSensor | VisionPosition]:
-        """As the protocol says: the message cannot say that there is no position."""
-        return []
-
-    def add_result(self, result: CommandResult) -> Sequence[Notice]:
-        """As the protocol says: no command is sent."""
-        del result
-        return []
-
-    def without_fix(self) -> str:
-        """As the protocol says."""
-        return "nothing"
 
 
 class GlobalPositionSensorMethod(_FusedPosition):
@@ -110,7 +104,7 @@ class GlobalPositionSensorMethod(_FusedPosition):
         return GlobalPositionSensor(self._sysid, time_usec, *geodetic, sigma_h_m, sigma_v_m)
 
     def with_fix(self) -> str:
-        """As the protocol says."""
+        """As the base says."""
         return "GLOBAL_POSITION_SENSOR"
 
 
@@ -137,7 +131,7 @@ class VisionPositionMethod(_FusedPosition):
         return VisionPosition(self._sysid, time_usec, north_m, east_m, origin.alt_msl_m - alt_msl_m, variance_m2)
 
     def with_fix(self) -> str:
-        """As the protocol says."""
+        """As the base says."""
         return "VISION_POSITION_ESTIMATE" if self._is_ready() else "nothing: it has not reported the origin of its local frame"
 
 
@@ -151,3 +145,73 @@ def px4_local_m(origin: GlobalOrigin, lat_deg: float, lon_deg: float) -> tuple[f
     arc = acos(min(max(sin(lat_0) * sin(lat) + cos(lat_0) * cos(lat) * cos(dlon), -1.0), 1.0))
     scale_m = _EARTH_RADIUS_M * (arc / sin(arc) if arc > 0.0 else 1.0)
     return scale_m * (cos(lat_0) * sin(lat) - sin(lat_0) * cos(lat) * cos(dlon)), scale_m * cos(lat) * sin(dlon)
+
+
+def px4_method(value: Callable[[str], float | None]) -> AidingMethodName:
+    """Return the aiding method that a PX4 takes, by its parameters; "auto" where it takes none.
+
+    `value` returns a parameter by its name, None where the vehicle does not have it.
+
+    GLOBAL_POSITION_SENSOR is received since EKF2_AGP0_CTRL exists (2026). EKF2_AGP_CTRL of 1.15 to 1.17 is not that way in.
+    """
+    for slot in AGP_SLOTS:
+        control = value(AGP_CONTROL.format(slot))
+        if control is not None and int(control) & HORIZONTAL and value(AGP_ID.format(slot)) == SENSOR_ID:
+            return "global_position_sensor"
+    vision = value(EV_CONTROL)
+    return "vision_position" if vision is not None and int(vision) & HORIZONTAL else "auto"
+
+
+class Px4Methods:
+    """The method of each PX4 of one fleet."""
+
+    def __init__(self, parameters: Parameters) -> None:
+        self.origins: dict[int, GlobalOrigin] = {}
+        self._parameters = parameters
+        self._origin_due_s: dict[int, float] = {}
+
+    def review(self, sysid: int, chosen: AidingMethodName, now_s: float) -> list[OriginRequest]:
+        """Request what a vehicle's method needs; return the request for its origin, if one is due.
+
+        Where `chosen` is "auto", parameters are requested until they show a method. Vision positions need the origin.
+        """
+        if chosen == "auto":
+            if self.method(sysid) == "auto" or not self._answered(sysid):
+                for name in self._names(sysid):
+                    self._parameters.request(sysid, name, now_s)
+            chosen = self.method(sysid)
+        if chosen != "vision_position" or now_s < self._origin_due_s.get(sysid, now_s):
+            return []
+        self._origin_due_s[sysid] = now_s + (_ORIGIN_FRESH_S if sysid in self.origins else _ORIGIN_RETRY_S)
+        return [OriginRequest(sysid)]
+
+    def add_origin(self, origin: GlobalOrigin) -> None:
+        """Add the origin that a vehicle reports."""
+        self.origins[origin.sysid] = origin
+
+    def forget(self, sysid: int) -> None:
+        """Forget the origin of a vehicle that was rebooted."""
+        self.origins.pop(sysid, None)
+        self._origin_due_s.pop(sysid, None)
+
+    def method(self, sysid: int) -> AidingMethodName:
+        """Return the method of a vehicle; "auto" where it takes none, or has not shown yet which.
+
+        Of a vehicle that answers nothing it is not known: what it may take does no harm.
+        """
+        method = px4_method(lambda name: self._parameters.value(sysid, name))
+        if method != "global_position_sensor" and not self.is_settled(sysid):
+            return "auto"
+        return method if self._answered(sysid) else "global_position_sensor"
+
+    def is_settled(self, sysid: int) -> bool:
+        """Return whether the parameters that decide on a vehicle's method are known or asked for in vain."""
+        return all(self._parameters.is_settled(sysid, name) for name in self._names(sysid))
+
+    def _answered(self, sysid: int) -> bool:
+        return any(self._parameters.value(sysid, name) is not None for name in self._names(sysid))
+
+    def _names(self, sysid: int) -> list[str]:
+        # A slot exists where the first one does; most vehicles use that.
+        slots = AGP_SLOTS if self._parameters.value(sysid, AGP_CONTROL.format(0)) is not None else AGP_SLOTS[:1]
+        return [*(name.format(slot) for slot in slots for name in (AGP_CONTROL, AGP_ID)), EV_CONTROL]

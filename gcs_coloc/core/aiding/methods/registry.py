@@ -21,25 +21,45 @@ from gcs_coloc.core.reasons import StatedReason
 class MethodEntry:
     """One aiding method: how to make it for a vehicle, and what it feeds there.
 
-    `feeds_receiver`: a GPS receiver of the vehicle (GPS_INPUT). `feeds_ekf2`: PX4's EKF2. `heeds_target`: only the vehicle that
-    a message names heeds it, so that the method works behind a router. `period_s`: its own time between messages, s; None where
-    the settings have it.
+    `not_for_px4`, `not_for_ardupilot`: why it is none for that autopilot. `feeds_receiver`: a GPS receiver of the vehicle
+    (GPS_INPUT). `unused`: the fault of a PX4's EKF2 that does not use it. `heeds_target`: only the vehicle that a message names
+    heeds it, so that the method works behind a router. `period_s`: its own time between messages, s; None where the settings
+    have it.
     """
 
     make: Callable[[MethodContext], AidingMethod]
+    not_for_px4: InhibitReason | None = None
+    not_for_ardupilot: InhibitReason | None = None
     feeds_receiver: bool = False
-    feeds_ekf2: bool = False
+    unused: FixFault | None = None
     heeds_target: bool = False
     period_s: float | None = None
 
+    def acknowledgement(self, gps_id: int, now_s: float) -> Acknowledgement | None:
+        """Return what shows whether a vehicle uses what the method sends; None where only its answers do."""
+        if self.feeds_receiver:
+            return FixAcknowledgement(gps_id, now_s)
+        return EkfAcknowledgement(self.unused) if self.unused is not None else None
+
 
 METHODS: Mapping[AidingMethodName, MethodEntry] = {
-    "auto": MethodEntry(GpsInputOrExternalMethod, feeds_receiver=True),
-    "gps_input": MethodEntry(GpsInputMethod, feeds_receiver=True),
-    "external_position": MethodEntry(ExternalPositionMethod, heeds_target=True),
-    "global_position_sensor": MethodEntry(GlobalPositionSensorMethod, feeds_ekf2=True),
-    "vision_position": MethodEntry(VisionPositionMethod, feeds_ekf2=True),
-    "ranging_beacon": MethodEntry(RangingBeaconMethod, feeds_ekf2=True, period_s=PERIOD_S),
+    "auto": MethodEntry(GpsInputOrExternalMethod, InhibitReason.PX4_TAKES_NO_METHOD, feeds_receiver=True),
+    "gps_input": MethodEntry(GpsInputMethod, InhibitReason.PX4_IGNORES_GPS_INPUT, feeds_receiver=True),
+    "external_position": MethodEntry(ExternalPositionMethod, InhibitReason.PX4_RESETS_BY_EXTERNAL_POSITION, heeds_target=True),
+    "global_position_sensor": MethodEntry(
+        GlobalPositionSensorMethod,
+        not_for_ardupilot=InhibitReason.ARDUPILOT_IGNORES_POSITION_SENSOR,
+        unused=FixFault.EKF_UNAIDED,
+    ),
+    "vision_position": MethodEntry(
+        VisionPositionMethod, not_for_ardupilot=InhibitReason.VISION_IS_FOR_PX4, unused=FixFault.EKF_WITHOUT_VISION
+    ),
+    "ranging_beacon": MethodEntry(
+        RangingBeaconMethod,
+        not_for_ardupilot=InhibitReason.RANGING_BEACON_IS_FOR_PX4,
+        unused=FixFault.EKF_WITHOUT_RANGES,
+        period_s=PERIOD_S,
+    ),
 }
 """Every aiding method by its name in the settings; "auto" is the one for ArduPilot."""
 
@@ -55,42 +75,12 @@ def method_for(
     return px4(sysid) if name == "auto" and autopilot is Autopilot.PX4 else name
 
 
-def feeds_receiver(name: AidingMethodName) -> bool:
-    """Return whether a method feeds a GPS receiver of the vehicle."""
-    return METHODS[name].feeds_receiver
-
-
-def acknowledgement_of(name: AidingMethodName, gps_id: int, now_s: float) -> Acknowledgement | None:
-    """Return what shows whether a vehicle uses what a method sends; None where only its answers do."""
-    if METHODS[name].feeds_receiver:
-        return FixAcknowledgement(gps_id, now_s)
-    return EkfAcknowledgement(_UNUSED.get(name, FixFault.EKF_UNAIDED)) if METHODS[name].feeds_ekf2 else None
-
-
-_UNUSED: Mapping[AidingMethodName, FixFault] = {
-    "vision_position": FixFault.EKF_WITHOUT_VISION,
-    "ranging_beacon": FixFault.EKF_WITHOUT_RANGES,
-}
-
-
 def mismatch(name: AidingMethodName, autopilot: Autopilot | None) -> Inhibit | None:
     """Return why a method is none for an autopilot; None where it is one, or the operator's own choice."""
     if autopilot is Autopilot.PX4:
-        reason = _NOT_FOR_PX4.get(name)
+        reason = METHODS[name].not_for_px4
     elif autopilot is Autopilot.ARDUPILOT:
-        reason = _NOT_FOR_ARDUPILOT.get(name)
+        reason = METHODS[name].not_for_ardupilot
     else:
         reason = InhibitReason.UNKNOWN_AUTOPILOT if name == "auto" else None
     return StatedReason(reason) if reason is not None else None
-
-
-_NOT_FOR_PX4: Mapping[AidingMethodName, InhibitReason] = {
-    "auto": InhibitReason.PX4_TAKES_NO_METHOD,
-    "gps_input": InhibitReason.PX4_IGNORES_GPS_INPUT,
-    "external_position": InhibitReason.PX4_RESETS_BY_EXTERNAL_POSITION,
-}
-_NOT_FOR_ARDUPILOT: Mapping[AidingMethodName, InhibitReason] = {
-    "global_position_sensor": InhibitReason.ARDUPILOT_IGNORES_POSITION_SENSOR,
-    "vision_position": InhibitReason.VISION_IS_FOR_PX4,
-    "ranging_beacon": InhibitReason.RANGING_BEACON_IS_FOR_PX4,
-}

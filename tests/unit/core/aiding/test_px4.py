@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from engine_flights import StraightLine, fly, parameters_told, settings, texts, vehicle_4
 
-from gcs_coloc.core.aiding.methods.method import Moment
+from gcs_coloc.core.aiding.methods.method import FixInputs, Moment
 from gcs_coloc.core.aiding.methods.px4_positions import CorrelatedPositions, px4_local_m
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine
@@ -187,7 +187,8 @@ def estimate(variance_m2: float, at_s: float = 0.0, ranges: int = 3) -> Estimate
 
 def moment(now_s: float, where: Estimate, ahead_m2: float) -> Moment:
     ahead = lambda node, at_s: estimate(ahead_m2, at_s)  # noqa: E731
-    return Moment(now_s, now_s, None, None, where, None, None, standby=False, locate_node=ahead)
+    known = FixInputs(False, False, False, None, None, None, None, (), ahead, lambda at_s: None)
+    return Moment(now_s, now_s, None, None, where, None, known, standby=False, transmits=True)
 
 
 @pytest.mark.parametrize("rate_hz", [1.0, 2.0, 10.0, 50.0])

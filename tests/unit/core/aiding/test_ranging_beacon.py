@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from gcs_coloc.core.aiding.inhibit import InhibitReason
-from gcs_coloc.core.aiding.methods.method import MethodContext, Moment
-from gcs_coloc.core.aiding.methods.ranging_beacon import LEAST_INTERVAL_S, RangingBeaconMethod
+from gcs_coloc.core.aiding.methods.method import FixInputs, MethodContext, Moment
+from gcs_coloc.core.aiding.methods.ranging_beacon import LEAST_INTERVAL_S, RangingBeaconMethod, VettedRanges
 from gcs_coloc.core.aiding.parameters import Parameters
 from gcs_coloc.core.aiding.settings import AidingSettings
-from gcs_coloc.core.aiding.vetted_ranges import VettedRange, VettedRanges
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate, NoEstimate, NoEstimateReason, RangeMeasurement, Residual, Unlocated
@@ -56,11 +55,13 @@ def distance_m(peer: int, at_s: float) -> float:
     return dist(located(4, at_s).position_enu_m, located(peer, at_s).position_enu_m)
 
 
-def vetted(peer: int, at_s: float, error_m: float = 0.0) -> VettedRange:
-    return VettedRange(peer, at_s, distance_m(peer, at_s) + error_m, 0.5)
+def vetted(peer: int, at_s: float, error_m: float = 0.0) -> RangeMeasurement:
+    return RangeMeasurement(4, peer, at_s, at_s, distance_m(peer, at_s) + error_m, 0.5)
 
 
-def moment(now_s: float, *ranges: VettedRange, inhibit=None, locate=located, boot_s=lambda at_s: at_s + BOOT_MINUS_SERVICE_S):
+def moment(
+    now_s: float, *ranges: RangeMeasurement, inhibit=None, locate=located, boot_s=lambda at_s: at_s + BOOT_MINUS_SERVICE_S
+):
     return Moment(
         now_s,
         now_s,
@@ -68,11 +69,9 @@ def moment(now_s: float, *ranges: VettedRange, inhibit=None, locate=located, boo
         None,
         located(4, now_s),
         StatedReason(inhibit) if inhibit is not None else None,
-        None,
+        FixInputs(False, False, False, None, None, None, None, ranges, locate, boot_s),
         standby=False,
-        ranges=ranges,
-        locate_node=locate,
-        boot_s=boot_s,
+        transmits=True,
     )
 
 
@@ -195,7 +194,7 @@ def test_only_what_the_estimator_used_of_trusted_nodes_is_vetted():
     ranges.add_range(measured(4, 1.0, vehicle=5))  # measured by the other end
     found = [residual(1, 1.0), residual(2, 1.0, "gate"), residual(3, 1.0), residual(4, 1.0, vehicle=5), residual(9, 1.0)]
     ranges.add_residuals(found, lambda node: node != 3)
-    assert [(one.peer, one.range_m) for one in ranges.drain(4)] == [(1, 100.0), (5, 100.0)]
+    assert [(m.from_vehicle, m.to_vehicle) for m in ranges.drain(4)] == [(4, 1), (5, 4)]
     assert ranges.drain(4) == ()
 
 
