@@ -38,7 +38,15 @@ class TimeBase(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Heartbeat:
+class FromVehicle:
+    """What a vehicle says of itself."""
+
+    sysid: int
+    received_at_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Heartbeat(FromVehicle):
     """HEARTBEAT (0) of an autopilot component.
 
     Heartbeats of ground stations and peripherals are not turned into this.
@@ -47,8 +55,6 @@ class Heartbeat:
     `vehicle_class`: how it moves, None for other types.
     """
 
-    sysid: int
-    received_at_s: float
     autopilot: Autopilot
     armed: bool
     winged: bool
@@ -57,14 +63,12 @@ class Heartbeat:
 
 
 @dataclass(frozen=True, slots=True)
-class GlobalPosition:
+class GlobalPosition(FromVehicle):
     """GLOBAL_POSITION_INT (33): the autopilot's own position estimate.
 
     For a vehicle without GPS this is dead reckoning or an echo of what we sent: only its altitude is evidence then.
     """
 
-    sysid: int
-    received_at_s: float
     boot_s: float
     lat_deg: float
     lon_deg: float
@@ -79,7 +83,7 @@ FIX_3D = 3
 
 
 @dataclass(frozen=True, slots=True)
-class GpsReceiver:
+class GpsReceiver(FromVehicle):
     """GPS_RAW_INT (24, `receiver` 0) or GPS2_RAW (124, `receiver` 1): what one receiver says of itself.
 
     Without a fix (`fix_type` below 2) its position is 0, 0, 0. `h_acc_m`, `v_acc_m` and `speed_acc_mps` are 1-sigma; ArduPilot
@@ -88,8 +92,6 @@ class GpsReceiver:
     over ground, north and east, by the Doppler shift.
     """
 
-    sysid: int
-    received_at_s: float
     receiver: int
     fix_type: int
     lat_deg: float
@@ -120,14 +122,12 @@ class Interference(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class ReceiverIntegrity:
+class ReceiverIntegrity(FromVehicle):
     """GNSS_INTEGRITY (441): what one receiver says of interference with it and of its own test (RAIM).
 
     `receiver` is the instance, as in GpsReceiver; PX4 tells of the receiver in use alone, under a number of its own.
     """
 
-    sysid: int
-    received_at_s: float
     receiver: int
     jamming: Interference
     spoofing: Interference
@@ -135,11 +135,9 @@ class ReceiverIntegrity:
 
 
 @dataclass(frozen=True, slots=True)
-class SystemHealth:
+class SystemHealth(FromVehicle):
     """SYS_STATUS (1), the GPS bit (0x20) of its three sensor masks, and the battery's charge."""
 
-    sysid: int
-    received_at_s: float
     gps_present: bool
     gps_enabled: bool
     gps_healthy: bool
@@ -152,15 +150,13 @@ class SystemHealth:
 
 
 @dataclass(frozen=True, slots=True)
-class EkfStatus:
+class EkfStatus(FromVehicle):
     """EKF_STATUS_REPORT (193, ArduPilot) or ESTIMATOR_STATUS (230, PX4): the flags that matter here.
 
     Of PX4 alone, else None: `global_position_aided`: GNSS or an auxiliary position aids it; `horizontally_aided`: anything does
     that tells of horizontal position or velocity, as vision.
     """
 
-    sysid: int
-    received_at_s: float
     horizontal_position_absolute: bool
     constant_position_mode: bool
     gps_glitching: bool
@@ -175,11 +171,9 @@ class EkfStatus:
 
 
 @dataclass(frozen=True, slots=True)
-class Attitude:
+class Attitude(FromVehicle):
     """ATTITUDE (30): roll, pitch and yaw of the body in radians; yaw from true north, clockwise."""
 
-    sysid: int
-    received_at_s: float
     boot_s: float
     roll_rad: float
     pitch_rad: float
@@ -187,40 +181,32 @@ class Attitude:
 
 
 @dataclass(frozen=True, slots=True)
-class Airspeed:
+class Airspeed(FromVehicle):
     """VFR_HUD (74): calibrated or indicated airspeed. The wire message carries no time."""
 
-    sysid: int
-    received_at_s: float
     airspeed_mps: float
 
 
 @dataclass(frozen=True, slots=True)
-class Pressure:
+class Pressure(FromVehicle):
     """SCALED_PRESSURE (29): absolute air pressure by the vehicle's first barometer."""
 
-    sysid: int
-    received_at_s: float
     boot_s: float
     pressure_hpa: float
 
 
 @dataclass(frozen=True, slots=True)
-class SystemTime:
+class SystemTime(FromVehicle):
     """SYSTEM_TIME (2): the sender's UNIX time (None until it has one) beside its boot time."""
 
-    sysid: int
-    received_at_s: float
     boot_s: float
     unix_s: float | None
 
 
 @dataclass(frozen=True, slots=True)
-class TimeSyncAnswer:
+class TimeSyncAnswer(FromVehicle):
     """TIMESYNC (111) in answer to a request: our time as echoed, and the sender's clock, in ns."""
 
-    sysid: int
-    received_at_s: float
     ts1_ns: int
     tc1_ns: int
 
@@ -249,7 +235,7 @@ class Beacon:
 
 
 @dataclass(frozen=True, slots=True)
-class PeerRange:
+class PeerRange(FromVehicle):
     """A slant range of a vehicle, from PEER_RANGE (181600), RANGING_BEACON (513) or a named value.
 
     `sysid` is the vehicle that measured and reports it, `peer` the node at the other end: a vehicle's system id or a station's
@@ -259,8 +245,6 @@ class PeerRange:
     `device_id` tells apart several ranging devices of one vehicle. `beacon` is what a RANGING_BEACON says of the other end.
     """
 
-    sysid: int
-    received_at_s: float
     peer: int
     range_m: float
     sigma_m: float | None
@@ -293,54 +277,29 @@ class CommandOutcome(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class CommandResult:
+class CommandResult(FromVehicle):
     """COMMAND_ACK (77): what a vehicle made of a command."""
 
-    sysid: int
-    received_at_s: float
     command: VehicleCommand
     outcome: CommandOutcome
 
 
 @dataclass(frozen=True, slots=True)
-class GlobalOrigin:
+class GlobalOrigin(FromVehicle):
     """GPS_GLOBAL_ORIGIN (49): where the origin of a vehicle's local frame is."""
 
-    sysid: int
-    received_at_s: float
     lat_deg: float
     lon_deg: float
     alt_msl_m: float
 
 
 @dataclass(frozen=True, slots=True)
-class ParameterValue:
+class ParameterValue(FromVehicle):
     """PARAM_VALUE (22): one parameter of a vehicle as it stands; `kind` is its MAV_PARAM_TYPE."""
 
-    sysid: int
-    received_at_s: float
     name: str
     value: float
     kind: int
 
-
-FromVehicle = (
-    Heartbeat
-    | GlobalPosition
-    | GpsReceiver
-    | ReceiverIntegrity
-    | SystemHealth
-    | EkfStatus
-    | Attitude
-    | Airspeed
-    | Pressure
-    | SystemTime
-    | TimeSyncAnswer
-    | PeerRange
-    | CommandResult
-    | GlobalOrigin
-    | ParameterValue
-)
-"""What vehicles say of themselves."""
 
 Inbound = FromVehicle | ControlInput
