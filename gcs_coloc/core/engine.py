@@ -29,7 +29,6 @@ from gcs_coloc.core.messages.control import (
     ClockReference,
     ControlInput,
     ForeignGpsInput,
-    GpsOverride,
     HoldBack,
     OperatorCommand,
     RouteReport,
@@ -99,7 +98,8 @@ class Engine:
         self.estimator = GuardedEstimator(estimator, self._report_estimator)
         self.integrity = IntegrityMonitor(s.integrity)
         self.gps_health = FleetGpsHealth(s.gps_health)
-        self.aiding = Aiding(s.aiding)
+        self._overrides = OperatorOverrides()
+        self.aiding = Aiding(s.aiding, self._overrides)
         stages = Stages(
             self.telemetry,
             self.proven,
@@ -114,7 +114,7 @@ class Engine:
             StationSurvey(),
         )
         self._dispatch = MessageDispatch(stages)
-        self._review = FleetReview(stages, s.aiding, s.integrity)
+        self._review = FleetReview(stages, s.aiding, s.integrity, self._overrides)
         self.reviewed_at_s = float("-inf")
         self._streams = StreamRequests()
         self._refused: Counter[CoreRefusal] = Counter()
@@ -124,7 +124,6 @@ class Engine:
         self._review_schedule = TickSchedule(0.0)
         self._transmits = True
         self._is_held_back = False
-        self._overrides = OperatorOverrides()
         self._update_host_inhibit()
 
     def receive(self, message: Inbound) -> None:
@@ -246,8 +245,7 @@ class Engine:
                 frame,
                 name=self.settings.names.get(vehicle.sysid, ""),
                 gps_health=self.gps_health[vehicle.sysid],
-                gps_override=review.gps_override(vehicle.sysid),
-                override_sources=self._overrides.sources(vehicle.sysid),
+                overrides=self._overrides,
                 aiding=review.aiding_view(vehicle),
                 delay_s=self.measurements.delay_s(vehicle.sysid),
                 clock=self.clocks.boot_clock(vehicle.sysid).quality(now_s),
@@ -351,15 +349,10 @@ class Engine:
         self._outbox.extend(self._review.decide_aiding(vehicle, message.received_at_s))
 
     def _apply_command(self, message: OperatorCommand) -> None:
-        override, sysid, at_s = message.override, message.sysid, message.received_at_s
-        if isinstance(override, GpsOverride):
-            self._review.set_gps_override(sysid, override)
-        else:
-            self.aiding.set_override(sysid, override)
         self._outbox.append(self._overrides.add(message))
-        vehicle = self.telemetry.get(sysid)
+        vehicle = self.telemetry.get(message.sysid)
         if vehicle is not None:
-            self._outbox.extend(self._review.review_vehicle(vehicle, at_s))
+            self._outbox.extend(self._review.review_vehicle(vehicle, message.received_at_s))
 
     def overrides(self) -> tuple[OperatorCommand, ...]:
         """Return the operator's overrides that are in force, those that are automatic left out."""

@@ -19,6 +19,7 @@ from gcs_coloc.core.integrity.report import IntegrityReport, ReacquisitionStatus
 from gcs_coloc.core.measurements import Estimate, NoEstimate, PositionMeasurement, Residual
 from gcs_coloc.core.messages.control import GpsOverride
 from gcs_coloc.core.messages.outbound import HealthChanged, Notice, Outbound
+from gcs_coloc.core.operator_overrides import OperatorOverrides
 from gcs_coloc.core.readiness.readiness_review import ReadinessInputs, ReadinessReview
 from gcs_coloc.core.residual_log import RangeJumps, ResidualLog
 from gcs_coloc.core.station_review import StationReview
@@ -39,14 +40,16 @@ class FleetReview:
     review of the fixed stations. `readiness` is whether healthy vehicles would be located without GPS.
     """
 
-    def __init__(self, stages: Stages, aiding: AidingSettings, protection: ProtectionSettings) -> None:
+    def __init__(
+        self, stages: Stages, aiding: AidingSettings, protection: ProtectionSettings, overrides: OperatorOverrides
+    ) -> None:
         self.report = IntegrityReport()
         self.residuals = ResidualLog()
         self.stations = StationReview(stages)
         self.readiness = ReadinessReview(stages.estimator, aiding, protection)
         self._stages = stages
         self._jumps = RangeJumps()
-        self._gps_overrides: dict[int, GpsOverride] = {}
+        self._overrides = overrides
         self._decisions: dict[int, AidingDecision] = {}
         self._denied: frozenset[int] = frozenset()
         self._witnesses: frozenset[int] = frozenset()
@@ -66,14 +69,6 @@ class FleetReview:
         if sysid in self._denied:
             self._denied -= {sysid}
             self._stages.estimator.set_denied(self._denied, now_s)
-
-    def set_gps_override(self, sysid: int, override: GpsOverride) -> None:
-        """Set what the operator decides of one vehicle's GPS."""
-        self._gps_overrides[sysid] = override
-
-    def gps_override(self, sysid: int) -> GpsOverride:
-        """Return what the operator decided of one vehicle's GPS."""
-        return self._gps_overrides.get(sysid, GpsOverride.AUTO)
 
     def decision(self, sysid: int) -> AidingDecision:
         """Return what aiding decided last about a vehicle."""
@@ -153,7 +148,7 @@ class FleetReview:
 
     def review_integrity(self, now_s: float) -> list[Outbound]:
         """Test positions and ranges of the fleet against each other."""
-        vouched = [sysid for sysid, override in self._gps_overrides.items() if override is GpsOverride.HEALTHY]
+        vouched = [command.sysid for command in self._overrides.in_force() if command.override is GpsOverride.HEALTHY]
         out: list[Outbound] = list(self._stages.proven.review(tuple(self._stages.telemetry), vouched, now_s))
         self._witnesses = self._find_witnesses(now_s)
         self._knows_delays = all(self._stages.clocks.knows_delay(vehicle.sysid, now_s) for vehicle in self._stages.telemetry)
@@ -250,7 +245,7 @@ class FleetReview:
             gps_state,
             is_trusted=self._is_trusted(sysid),
             is_witness=sysid in self._witnesses,
-            is_automatic=self.gps_override(sysid) is GpsOverride.AUTO,
+            is_automatic=self._overrides.of(sysid, GpsOverride) is GpsOverride.AUTO,
             is_doubtful=self._stages.gps_health[sysid].is_doubtful(now_s),
             is_returning=self._stages.gps_health[sysid].is_returning,
             reported=self._stages.measurements.reported(sysid),
@@ -275,7 +270,7 @@ class FleetReview:
             is_aided=self.decision(sysid).is_aided,
             has_duplicate_id=self._stages.clocks.has_duplicate_id(sysid),
             host_lag_s=self._stages.clocks.host_lag_s,
-            override=self.gps_override(sysid),
+            override=self._overrides.of(sysid, GpsOverride),
         )
 
     def _find_witnesses(self, now_s: float) -> frozenset[int]:

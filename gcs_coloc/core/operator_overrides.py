@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import TypeVar
 
 from gcs_coloc.core.messages.control import (
     AidingOverride,
@@ -16,14 +16,7 @@ from gcs_coloc.core.messages.control import (
 from gcs_coloc.core.messages.outbound import Notice
 
 _WHAT: Mapping[type[Override], str] = {GpsOverride: "GPS", AidingOverride: "aiding", PrimaryOverride: "GPS_PRIMARY"}
-
-
-class OverrideSources(NamedTuple):
-    """Where the overrides of one vehicle came from; None for one that is not in force."""
-
-    gps: CommandSource | None
-    aiding: CommandSource | None
-    primary: CommandSource | None
+_Kind = TypeVar("_Kind", GpsOverride, AidingOverride, PrimaryOverride)
 
 
 class OperatorOverrides:
@@ -40,12 +33,16 @@ class OperatorOverrides:
         text = f"operator: {_WHAT[type(override)]} {override.value}{by}"
         return Notice(command.received_at_s, command.sysid, "info", text)
 
+    def of(self, sysid: int, kind: type[_Kind]) -> _Kind:
+        """Return what was decided of a vehicle, AUTO where nothing was."""
+        command = self._commands.get((sysid, kind))
+        return command.override if command is not None and isinstance(command.override, kind) else kind.AUTO
+
+    def source(self, sysid: int, kind: type[Override]) -> CommandSource | None:
+        """Return who decided it; None where it is automatic."""
+        command = self._commands.get((sysid, kind))
+        return command.source if command is not None and command.override is not kind.AUTO else None
+
     def in_force(self) -> tuple[OperatorCommand, ...]:
         """Return the commands that are in force, those that are automatic left out."""
         return tuple(command for command in self._commands.values() if command.override.value != "auto")
-
-    def sources(self, sysid: int) -> OverrideSources:
-        """Return who gave each override of a vehicle that is in force."""
-        given = [self._commands.get((sysid, kind)) for kind in _WHAT]
-        gps, aiding, primary = (one.source if one is not None and one.override.value != "auto" else None for one in given)
-        return OverrideSources(gps, aiding, primary)

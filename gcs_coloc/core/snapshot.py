@@ -12,8 +12,8 @@ from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.gps_health import GpsHealth
 from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel
 from gcs_coloc.core.measurements import Estimate, FloatArray, NoEstimate, Vector3
-from gcs_coloc.core.messages.control import GpsOverride
-from gcs_coloc.core.operator_overrides import OverrideSources
+from gcs_coloc.core.messages.control import AidingOverride, GpsOverride, PrimaryOverride
+from gcs_coloc.core.operator_overrides import OperatorOverrides
 from gcs_coloc.core.readiness.vehicle_readiness import VehicleReadiness
 from gcs_coloc.core.residual_log import Consistency, RangeSnapshot
 from gcs_coloc.core.standby.standby_snapshot import StandbySnapshot
@@ -83,17 +83,17 @@ class VehicleSnapshot:
     autopilot: str
     gps_state: str
     gps_reason: str
-    lat_deg: float | None
-    lon_deg: float | None
-    alt_msl_m: float | None
-    sigma_h_m: float | None
-    bound_95_m: float | None
-    hdop: float | None
-    ranges_in_use: int
-    no_estimate_reason: str | None
-    reported_lat_deg: float | None
-    reported_lon_deg: float | None
-    aiding: str
+    lat_deg: float | None = None
+    lon_deg: float | None = None
+    alt_msl_m: float | None = None
+    sigma_h_m: float | None = None
+    bound_95_m: float | None = None
+    hdop: float | None = None
+    ranges_in_use: int = 0
+    no_estimate_reason: str | None = None
+    reported_lat_deg: float | None = None
+    reported_lon_deg: float | None = None
+    aiding: str = "off"
     aiding_has_fix: bool = False
     aiding_held_back: bool = False
     fix_acknowledged: bool | None = None
@@ -165,8 +165,7 @@ def vehicle_snapshot(
     *,
     name: str,
     gps_health: GpsHealth,
-    gps_override: GpsOverride,
-    override_sources: OverrideSources,
+    overrides: OperatorOverrides,
     aiding: AidingView,
     delay_s: float | None,
     clock: tuple[str, float] | None,
@@ -178,76 +177,58 @@ def vehicle_snapshot(
 
     `where` is the estimate for that time, `frame` the fleet's, `clock` how its clock is known with the 1-sigma in s.
     """
-    enu_m = velocity_mps = covariance_m2 = lat_deg = lon_deg = alt_msl_m = reported_enu_m = None
-    sigma_h_m = sigma_v_m = bound_95_m = hpl_m = vpl_m = hdop = None
-    untested: tuple[int, ...] = ()
-    ranges_in_use = 0
-    if isinstance(where, Estimate) and frame is not None:
-        P = where.covariance
-        e, n, u = enu_m = _vector3(where.position_enu_m)
-        velocity_mps = _vector3(where.velocity_enu_mps)
-        covariance_m2 = (P.item(0, 0), P.item(0, 1), P.item(1, 1))
-        sigma_h_m, bound_95_m = horizontal_sigma_and_bound_95_m(P)
-        sigma_v_m = sqrt(P.item(2, 2))
-        if where.protection is not None:
-            hpl_m, vpl_m, untested = where.protection
-        hdop, ranges_in_use = where.hdop, where.ranges_in_use
-        lat_deg, lon_deg, alt_msl_m = frame.geodetic_from_enu(e, n, u)
-    reported, receiver, attitude = vehicle.position, vehicle.receiver, vehicle.attitude
-    if reported is not None and frame is not None:
-        reported_enu_m = frame.enu_from_geodetic(reported.lat_deg, reported.lon_deg, reported.alt_msl_m)
+    sysid, attitude = vehicle.sysid, vehicle.attitude
     fresh = attitude is not None and now_s - attitude.received_at_s <= _ATTITUDE_FRESH_S
-    return VehicleSnapshot(
-        sysid=vehicle.sysid,
+    view = VehicleSnapshot(
+        sysid=sysid,
         name=name,
         age_s=now_s - vehicle.last_heard_s,
         autopilot=vehicle.autopilot.value if vehicle.autopilot is not None else "unknown",
         gps_state=gps_health.state.value,
         gps_reason=gps_health.reason.text,
-        lat_deg=lat_deg,
-        lon_deg=lon_deg,
-        alt_msl_m=alt_msl_m,
-        sigma_h_m=sigma_h_m,
-        bound_95_m=bound_95_m,
-        hdop=hdop,
-        ranges_in_use=ranges_in_use,
-        no_estimate_reason=where.reason.text if isinstance(where, NoEstimate) else None,
-        no_estimate_code=where.reason.reason.code if isinstance(where, NoEstimate) else None,
-        reported_lat_deg=reported.lat_deg if reported is not None else None,
-        reported_lon_deg=reported.lon_deg if reported is not None else None,
         aiding=aiding.status,
         aiding_has_fix=aiding.has_fix,
         aiding_held_back=aiding.is_held_back,
         fix_acknowledged=aiding.fix_acknowledged,
         gps_primary=aiding.gps_primary,
         inhibit_reason=aiding.inhibit_reason,
-        gps_override=gps_override.value,
-        aiding_override=aiding.aiding_override.value,
-        primary_override=aiding.primary_override.value,
-        gps_override_by=override_sources.gps,
-        aiding_override_by=override_sources.aiding,
-        primary_override_by=override_sources.primary,
-        sigma_v_m=sigma_v_m,
-        hpl_m=hpl_m,
-        vpl_m=vpl_m,
-        untested=untested,
-        enu_m=enu_m,
-        velocity_enu_mps=velocity_mps,
-        covariance_h_m2=covariance_m2,
-        reported_enu_m=reported_enu_m,
-        reported_alt_msl_m=reported.alt_msl_m if reported is not None else None,
+        gps_override=overrides.of(sysid, GpsOverride).value,
+        aiding_override=overrides.of(sysid, AidingOverride).value,
+        primary_override=overrides.of(sysid, PrimaryOverride).value,
+        gps_override_by=overrides.source(sysid, GpsOverride),
+        aiding_override_by=overrides.source(sysid, AidingOverride),
+        primary_override_by=overrides.source(sysid, PrimaryOverride),
         yaw_rad=attitude.yaw_rad if attitude is not None and fresh else None,
         armed=vehicle.armed,
         mode=vehicle.mode,
         battery_percent=vehicle.system.battery_percent if vehicle.system is not None else None,
-        fix_type=receiver.fix_type if receiver is not None else None,
-        satellites=receiver.satellites if receiver is not None else None,
         delay_s=delay_s,
         clock_method=clock[0] if clock is not None else None,
         clock_sigma_s=clock[1] if clock is not None else None,
         consistency=consistency,
         readiness=readiness,
     )
+    if isinstance(where, NoEstimate):
+        view.no_estimate_reason, view.no_estimate_code = where.reason.text, where.reason.reason.code
+    elif frame is not None:
+        P = where.covariance
+        view.enu_m = _vector3(where.position_enu_m)
+        view.velocity_enu_mps = _vector3(where.velocity_enu_mps)
+        view.covariance_h_m2 = (P.item(0, 0), P.item(0, 1), P.item(1, 1))
+        view.sigma_h_m, view.bound_95_m = horizontal_sigma_and_bound_95_m(P)
+        view.sigma_v_m = sqrt(P.item(2, 2))
+        if where.protection is not None:
+            view.hpl_m, view.vpl_m, view.untested = where.protection
+        view.hdop, view.ranges_in_use = where.hdop, where.ranges_in_use
+        view.lat_deg, view.lon_deg, view.alt_msl_m = frame.geodetic_from_enu(*view.enu_m)
+    reported, receiver = vehicle.position, vehicle.receiver
+    if reported is not None:
+        place = reported.lat_deg, reported.lon_deg, reported.alt_msl_m
+        view.reported_lat_deg, view.reported_lon_deg, view.reported_alt_msl_m = place
+        view.reported_enu_m = frame.enu_from_geodetic(*place) if frame is not None else None
+    if receiver is not None:
+        view.fix_type, view.satellites = receiver.fix_type, receiver.satellites
+    return view
 
 
 def _vector3(array: FloatArray) -> Vector3:

@@ -29,6 +29,7 @@ from gcs_coloc.core.messages.control import (
 )
 from gcs_coloc.core.messages.inbound import Autopilot, CommandResult, GlobalOrigin, GpsReceiver, ParameterValue
 from gcs_coloc.core.messages.outbound import Notice, Outbound, ParameterRequest, ToVehicle
+from gcs_coloc.core.operator_overrides import OperatorOverrides
 from gcs_coloc.core.reasons import CoreRefusal, StatedReason
 from gcs_coloc.core.schedule import TickSchedule
 from gcs_coloc.core.telemetry.altitude_builder import SentFix
@@ -44,15 +45,14 @@ class Aiding:
     `review` returns each decision. `refused` counts what vehicles refuse.
     """
 
-    def __init__(self, settings: AidingSettings) -> None:
+    def __init__(self, settings: AidingSettings, overrides: OperatorOverrides) -> None:
         self.refused: Counter[CoreRefusal] = Counter()
         self._settings = settings
+        self._overrides = overrides
         self._host_inhibit: Inhibit | None = None
         self._transmits = True
         self._is_held_back = False
         self._tick_schedule = TickSchedule(0.0)
-        self._overrides: dict[int, AidingOverride] = {}
-        self._primary_overrides: dict[int, PrimaryOverride] = {}
         self._parameters = Parameters()
         self._px4 = Px4Methods(self._parameters)
         self._switch = ReceiverSwitch(settings.gps_id)
@@ -99,13 +99,6 @@ class Aiding:
         self._host_inhibit = inhibit
         return changed
 
-    def set_override(self, sysid: int, override: AidingOverride | PrimaryOverride) -> None:
-        """Set what the operator decides of one vehicle."""
-        if isinstance(override, AidingOverride):
-            self._overrides[sysid] = override
-        else:
-            self._primary_overrides[sysid] = override
-
     def review(
         self, vehicle: ReportedState, gps_state: GpsState, now_s: float, *, has_duplicate_id: bool, reports_false_fix: bool
     ) -> AidingDecision:
@@ -141,7 +134,7 @@ class Aiding:
             if change is not None:
                 out.append(Notice(now_s, sysid, *change))
         is_lost = reports_false_fix or (gps_state is GpsState.FAILED and vehicle.autopilot is not Autopilot.PX4)
-        primary, is_switching = self._primary_overrides.get(sysid, PrimaryOverride.AUTO), self._switch.switching(sysid)
+        primary, is_switching = self._overrides.of(sysid, PrimaryOverride), self._switch.switching(sysid)
         wanted = stream is not None and stream.wants_switch(primary, is_switching=is_switching, is_lost=is_lost)
         if not held:
             out.extend(self._switch.review(sysid, vehicle.autopilot, now_s, wanted=wanted))
@@ -242,8 +235,6 @@ class Aiding:
             fix_acknowledged=acknowledgement.acknowledged if acknowledgement is not None else None,
             gps_primary=self._switch.status(sysid),
             inhibit_reason=inhibit.text if inhibit is not None else None,
-            aiding_override=self._override(sysid),
-            primary_override=self._primary_overrides.get(sysid, PrimaryOverride.AUTO),
         )
 
     def close(self) -> list[ToVehicle]:
@@ -307,7 +298,7 @@ class Aiding:
         return method_for(vehicle.sysid, vehicle.autopilot, self._settings, self._px4.method)
 
     def _override(self, sysid: int) -> AidingOverride:
-        return self._overrides.get(sysid, AidingOverride.AUTO)
+        return self._overrides.of(sysid, AidingOverride)
 
     def _needs_aid(self, sysid: int, gps_state: GpsState) -> bool:
         override = self._override(sysid)

@@ -14,7 +14,7 @@ from gcs_coloc.core.aiding.methods.registry import METHODS
 from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate, NoEstimate
-from gcs_coloc.core.messages.control import AidingOverride, PrimaryOverride
+from gcs_coloc.core.messages.control import PrimaryOverride
 from gcs_coloc.core.messages.outbound import AidingMessage, Notice, Outbound
 from gcs_coloc.core.reasons import StatedReason
 from gcs_coloc.core.schedule import TickSchedule
@@ -62,8 +62,6 @@ class AidingView:
     fix_acknowledged: bool | None
     gps_primary: str | None
     inhibit_reason: str | None
-    aiding_override: AidingOverride
-    primary_override: PrimaryOverride
 
 
 class AidingStream:
