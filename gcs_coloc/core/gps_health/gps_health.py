@@ -17,9 +17,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from gcs_coloc.core.gps_health.doppler_check import DopplerCheck
 from gcs_coloc.core.gps_health.evidence import GpsEvidence, GpsReason, is_fresh, reported_interference
-from gcs_coloc.core.gps_health.position_checks import MotionCheck, ReceiverCheck
+from gcs_coloc.core.gps_health.position_checks import DopplerCheck, MotionCheck, ReceiverCheck
 from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages.control import HOST_LATE_S, GpsOverride
 from gcs_coloc.core.messages.inbound import FIX_3D, GlobalPosition, GpsReceiver, Interference

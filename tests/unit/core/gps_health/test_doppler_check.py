@@ -7,7 +7,7 @@ import pytest
 from engine_flights import LAT, LON
 
 from gcs_coloc.core.geodesy import LocalFrame
-from gcs_coloc.core.gps_health.doppler_check import DopplerCheck
+from gcs_coloc.core.gps_health.position_checks import DopplerCheck
 from gcs_coloc.core.messages.inbound import GpsReceiver
 from gcs_coloc.mavlink.inbound import gps_raw_int
 
