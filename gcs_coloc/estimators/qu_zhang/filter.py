@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Collection, Mapping
+from enum import StrEnum
 
 import numpy as np
 
@@ -36,13 +37,46 @@ from gcs_coloc.core.measurements import (
     is_possible,
 )
 from gcs_coloc.estimators.qu_zhang.cv_filter import CvFilter, density, position_rows
-from gcs_coloc.estimators.qu_zhang.denied_vehicle import CONFIRMATIONS, DeniedVehicleFilter, lasting_covariance
-from gcs_coloc.estimators.qu_zhang.epochs import RangeEpoch, RangeEpochGatherer
+from gcs_coloc.estimators.qu_zhang.denied_vehicle import (
+    CONFIRMATIONS,
+    DeniedVehicleFilter,
+    RangeEpoch,
+    RangeEpochGatherer,
+    lasting_covariance,
+)
 from gcs_coloc.estimators.qu_zhang.fix import Fix, circles_of, fix_of
-from gcs_coloc.estimators.qu_zhang.outcomes import QuZhangOutcome
 from gcs_coloc.estimators.qu_zhang.settings import QuZhangSettings
 from gcs_coloc.estimators.qu_zhang.track import NisGate, PeerTrack
 from gcs_coloc.estimators.qu_zhang.trilateration import range_residual
+
+
+class QuZhangOutcome(StrEnum):
+    """What became of a measurement or an epoch of ranges.
+
+    The values are the keys of `counts()` and the labels of the metric.
+    """
+
+    NO_CLASS = "vehicle class not used by this estimator"
+    NO_ATTITUDE = "attitude not used by this estimator"
+    NO_ODOMETRY = "odometry not used by this estimator"
+    REFUSED_IMPOSSIBLE = "impossible value"
+    REFUSED_FUTURE = "measured in the future"
+    REFUSED_TOO_LATE = "too late"
+    REFUSED_DENIED_POSITION = "position of a vehicle without GPS"
+    POSITION_USED = "position used"
+    REFUSED_POSITION_GATE = "position refused by the gate"
+    ALTITUDE_NOT_NEEDED = "altitude of a vehicle with GPS"
+    ALTITUDE_USED = "altitude used"
+    REFUSED_ALTITUDE_GATE = "altitude refused by the gate"
+    RANGE_BOTH_GPS = "range between vehicles with GPS"
+    RANGE_BOTH_DENIED = "range between vehicles without GPS"
+    RANGE_PEER_NOT_FRESH = "range to a peer without a fresh position"
+    FIX_USED = "fix used"
+    EPOCH_WITHOUT_FIX = "epoch without a fix"
+    FIX_REFUSED = "fix refused"
+    RANGE_USED = "range used"
+    RANGE_NOT_USED = "range not used"
+
 
 PAPER_STEP_S = 0.02
 """The paper's computing cycle, to which its q belongs (it prints 0.02 ms, which only 50 Hz makes sense of)."""
@@ -232,7 +266,7 @@ class QuZhangFilter:
         if self._is_late(track.horizontal, at_s):
             return
         peers = {peer: one for peer, one in self._tracks.items() if peer not in self._former and peer not in self._denied}
-        circles, reasons = circles_of(epoch, track, peers, at_s, self._settings)
+        circles, reasons = circles_of(epoch.ranges, track, peers, at_s, self._settings)
         self._counts[QuZhangOutcome.RANGE_PEER_NOT_FRESH] += len(reasons)
         predicted: tuple[FloatArray, FloatArray] | None = None
         expected: tuple[FloatArray, FloatArray] | None = None

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m, horizontal_dilution_of, horizontal_sigma_m, worst_sigma
-from gcs_coloc.estimators.qu_zhang.dop import horizontal_dilution
+from gcs_coloc.estimators.qu_zhang.fix import horizontal_dilution
 
 
 def test_a_round_error_gives_chi_square_with_two_degrees_of_freedom():

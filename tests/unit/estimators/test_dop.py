@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gcs_coloc.estimators.qu_zhang.dop import cofactor_diagonal, horizontal_dilution
+from gcs_coloc.estimators.qu_zhang.fix import cofactor_diagonal, horizontal_dilution
 
 
 def compass(*bearings_deg: float) -> np.ndarray:

@@ -1,5 +1,5 @@
 from gcs_coloc.core.measurements import RangeMeasurement
-from gcs_coloc.estimators.qu_zhang.epochs import RangeEpochGatherer
+from gcs_coloc.estimators.qu_zhang.denied_vehicle import RangeEpochGatherer
 
 
 def one_range(peer: int, measured_at_s: float, arrived_at_s: float) -> RangeMeasurement:

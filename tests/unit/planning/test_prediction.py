@@ -10,7 +10,7 @@ import pytest
 
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import VehicleClass
-from gcs_coloc.estimators.qu_zhang.dop import horizontal_dilution
+from gcs_coloc.estimators.qu_zhang.fix import horizontal_dilution
 from gcs_coloc.planning import prediction
 from gcs_coloc.planning.fleet_plan import FleetPlan, PlanAssumptions, PlannedStation, PlannedVehicle
 from gcs_coloc.planning.flight_path import Leg

@@ -8,7 +8,7 @@ from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome
 from gcs_coloc.estimators.fleet.fleet_model import FleetModel
 from gcs_coloc.estimators.fleet.peer_selection import select_peers
 from gcs_coloc.estimators.fleet.settings import FleetSettings
-from gcs_coloc.estimators.qu_zhang.dop import horizontal_dilution
+from gcs_coloc.estimators.qu_zhang.fix import horizontal_dilution
 
 NONE: frozenset[int] = frozenset()
 HERE = np.array([0.0, 0.0, 100.0])
