@@ -11,10 +11,10 @@ from gcs_coloc.core.measurements import Estimate, NoEstimate, NoEstimateReason, 
 from gcs_coloc.estimators.fleet.ambiguity.curved_ranges import FAR_SIGMAS, curvature_covariances
 from gcs_coloc.estimators.fleet.ambiguity.range_evidence import unresolved_outlier_variance_m2
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
+from gcs_coloc.estimators.fleet.ekf.possible_motion import BOUND_95_SIGMAS, HORIZONTAL, add_motion
 from gcs_coloc.estimators.fleet.ekf.process_model import gap_covariance
 from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import POSITION, SIZE, TIME_STAMP_OFFSET, VELOCITY
-from gcs_coloc.estimators.fleet.ekf.unshown_motion import BOUND_95_SIGMAS, HORIZONTAL, add_motion
 from gcs_coloc.estimators.fleet.gaps import untold_motion
 from gcs_coloc.estimators.fleet.observed_biases import unknown_bias_covariance
 from gcs_coloc.estimators.fleet.search.position_search import PositionSearch

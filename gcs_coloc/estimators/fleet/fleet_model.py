@@ -22,9 +22,10 @@ from gcs_coloc.core.measurements import (
 )
 from gcs_coloc.estimators.fleet.ambiguity.range_evidence import monitor_range
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, NoiseSplit, without_time_error
-from gcs_coloc.estimators.fleet.ekf.air_check import AIR_UNSUSPECTED
+from gcs_coloc.estimators.fleet.ekf.air_data import AIR_UNSUSPECTED
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster, ClusterSet
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome, UpdateResult
+from gcs_coloc.estimators.fleet.ekf.possible_motion import motion_profile
 from gcs_coloc.estimators.fleet.ekf.records import Records, VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import Key, pair_key
 from gcs_coloc.estimators.fleet.ekf.update import (
@@ -41,7 +42,6 @@ from gcs_coloc.estimators.fleet.initialisation import (
     initialise_from_reports,
     learn_manoeuvres,
 )
-from gcs_coloc.estimators.fleet.motion_profiles import motion_profile
 from gcs_coloc.estimators.fleet.observed_biases import observe_bias, pair_bias, presume_bias, unknown_errors
 from gcs_coloc.estimators.fleet.peer_selection import is_selected
 from gcs_coloc.estimators.fleet.range_biases import PairBias

@@ -13,6 +13,7 @@ from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius
 from gcs_coloc.core.measurements import FloatArray, RangeMeasurement
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
+from gcs_coloc.estimators.fleet.ekf.possible_motion import HORIZONTAL, Motion, UnshownMotion, add_motion, unshown_motion
 from gcs_coloc.estimators.fleet.ekf.process_model import (
     GAP_S,
     gap_covariance,
@@ -21,7 +22,6 @@ from gcs_coloc.estimators.fleet.ekf.process_model import (
     shows_its_motion,
 )
 from gcs_coloc.estimators.fleet.ekf.records import Neighbour, VehicleRecord
-from gcs_coloc.estimators.fleet.ekf.unshown_motion import HORIZONTAL, Motion, UnshownMotion, add_motion, unshown_motion
 from gcs_coloc.estimators.fleet.search.position_search import is_too_wide
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from gcs_coloc.core.measurements import AltitudeMeasurement, AttitudeMeasurement, FloatArray, PositionMeasurement
 from gcs_coloc.core.reasons import StatedReason
-from gcs_coloc.estimators.fleet.ekf.air_calibration import EVERY_S, AirCalibration, GroundVelocity, steady_air_m2
+from gcs_coloc.estimators.fleet.ekf.air_data import EVERY_S, AirCalibration, GroundVelocity, steady_air_m2
 from gcs_coloc.estimators.fleet.ekf.cluster import ClusterSet
 from gcs_coloc.estimators.fleet.ekf.process_model import acceleration_density_m2ps3, turn_rate_radps, usable_airspeed_mps
 from gcs_coloc.estimators.fleet.ekf.records import Records, VehicleRecord

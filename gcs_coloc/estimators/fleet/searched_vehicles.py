@@ -13,12 +13,11 @@ from gcs_coloc.core.measurements import FloatArray, NoEstimateReason, RangeMeasu
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import ManoeuvreDetector
 from gcs_coloc.estimators.fleet.ekf.cluster import ClusterSet
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome
+from gcs_coloc.estimators.fleet.ekf.possible_motion import HORIZONTAL, MotionProfile
 from gcs_coloc.estimators.fleet.ekf.records import Neighbour, Records
 from gcs_coloc.estimators.fleet.ekf.state import POSITION, pair_key
-from gcs_coloc.estimators.fleet.ekf.unshown_motion import HORIZONTAL
 from gcs_coloc.estimators.fleet.gaps import add_gap, tell_of_all_directions
 from gcs_coloc.estimators.fleet.initialisation import initialise_from_reports
-from gcs_coloc.estimators.fleet.motion_profiles import MotionProfile
 from gcs_coloc.estimators.fleet.search.position_search import PositionSearch, RangeCircle, is_too_wide
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 

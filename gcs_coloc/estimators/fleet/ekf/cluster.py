@@ -12,7 +12,7 @@ from numbers import Integral
 
 from gcs_coloc.core.measurements import FloatArray, Vector3
 from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd, Transition, range_jacobian
-from gcs_coloc.estimators.fleet.ekf.air_calibration import steady_air_m2
+from gcs_coloc.estimators.fleet.ekf.air_data import steady_air_m2
 from gcs_coloc.estimators.fleet.ekf.process_model import fresh_air_data, set_transition, step_ends
 from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S, VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import HEADING_ERROR, TIME_STAMP_OFFSET, VELOCITY, WIND, JointState, Key, ends

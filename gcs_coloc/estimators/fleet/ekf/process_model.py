@@ -15,9 +15,9 @@ from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius
 from gcs_coloc.core.measurements import AttitudeMeasurement, FloatArray
 from gcs_coloc.core.telemetry.reported_state import LEAST_AIRSPEED_MPS
 from gcs_coloc.estimators.fleet.ekf._kernels import Transition
+from gcs_coloc.estimators.fleet.ekf.possible_motion import BOUND_95_SIGMAS, CORRELATION, Motion
 from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import TURN
-from gcs_coloc.estimators.fleet.ekf.unshown_motion import BOUND_95_SIGMAS, CORRELATION, Motion
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 GRAVITY_MPS2 = 9.80665

@@ -21,11 +21,9 @@ from gcs_coloc.core.measurements import (
     Unlocated,
 )
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, ManoeuvreDetector, NoiseLevel, NoiseSplit
-from gcs_coloc.estimators.fleet.ekf.air_calibration import AirCalibration
-from gcs_coloc.estimators.fleet.ekf.air_check import AIR_UNSUSPECTED, AirCheck
+from gcs_coloc.estimators.fleet.ekf.air_data import AIR_UNSUSPECTED, AirCalibration, AirCheck
+from gcs_coloc.estimators.fleet.ekf.possible_motion import PROFILES, MotionProfile, UnshownMotion
 from gcs_coloc.estimators.fleet.ekf.state import PairKey
-from gcs_coloc.estimators.fleet.ekf.unshown_motion import UnshownMotion
-from gcs_coloc.estimators.fleet.motion_profiles import PROFILES, MotionProfile
 from gcs_coloc.estimators.fleet.range_biases import BiasWindow, PairBias, RangeBiases, Ranged, UnknownBias
 from gcs_coloc.estimators.fleet.search.position_search import PositionSearch
 

@@ -22,7 +22,7 @@ from gcs_coloc.core.measurements import (
     RangeMeasurement,
 )
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import without_time_error
-from gcs_coloc.estimators.fleet.ekf.air_check import Place
+from gcs_coloc.estimators.fleet.ekf.air_data import Place
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.measurement_models import air_velocity, altitude, odometry, position_report, slant_range
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome, UpdateResult

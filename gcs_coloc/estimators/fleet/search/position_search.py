@@ -23,11 +23,11 @@ from gcs_coloc.estimators.fleet.search.gaussian_mixture import (
     merged,
     moments,
     pruned,
+    range_points,
     tail_merged,
     update,
     with_more_noise,
 )
-from gcs_coloc.estimators.fleet.search.range_points import range_points
 
 _TOO_WIDE = 4.0
 _NARROW = 1.4

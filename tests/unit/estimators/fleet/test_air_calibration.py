@@ -9,7 +9,7 @@ import pytest
 
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.measurements import AttitudeMeasurement, Estimate, PositionMeasurement
-from gcs_coloc.estimators.fleet.ekf.air_calibration import EVERY_S, AirCalibration, GroundVelocity
+from gcs_coloc.estimators.fleet.ekf.air_data import EVERY_S, AirCalibration, GroundVelocity
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 

@@ -9,7 +9,7 @@ import pytest
 
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.measurements import AttitudeMeasurement, Estimate, NoEstimate, PositionMeasurement, RangeMeasurement
-from gcs_coloc.estimators.fleet.ekf.air_check import AIR_UNSUSPECTED, AirCheck, Place
+from gcs_coloc.estimators.fleet.ekf.air_data import AIR_UNSUSPECTED, AirCheck, Place
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 

@@ -21,13 +21,12 @@ from gcs_coloc.core.measurements import (
     VehicleClassReport,
 )
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome, UpdateResult
+from gcs_coloc.estimators.fleet.ekf.possible_motion import PROFILES, unshown_motion
 from gcs_coloc.estimators.fleet.ekf.process_model import GAP_S, gap_covariance
 from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
-from gcs_coloc.estimators.fleet.ekf.unshown_motion import unshown_motion
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.estimators.fleet.fleet_model import FleetModel
 from gcs_coloc.estimators.fleet.gaps import add_gap, decide_unshown_motion
-from gcs_coloc.estimators.fleet.motion_profiles import PROFILES
 from gcs_coloc.estimators.fleet.searched_vehicles import search_of
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 

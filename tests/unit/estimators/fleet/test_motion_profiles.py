@@ -17,9 +17,9 @@ from gcs_coloc.core.measurements import (
     VehicleClass,
     VehicleClassReport,
 )
+from gcs_coloc.estimators.fleet.ekf.possible_motion import PROFILES, motion_profile
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.estimators.fleet.fleet_model import FleetModel
-from gcs_coloc.estimators.fleet.motion_profiles import PROFILES, motion_profile
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 DENIED = 9

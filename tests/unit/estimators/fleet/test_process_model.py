@@ -7,10 +7,10 @@ import pytest
 
 from gcs_coloc.core.measurements import AttitudeMeasurement, VehicleClass
 from gcs_coloc.estimators.fleet.ekf._kernels import Transition
+from gcs_coloc.estimators.fleet.ekf.possible_motion import PROFILES
 from gcs_coloc.estimators.fleet.ekf.process_model import set_transition, turn_rate_radps
 from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import SIZE, TURN
-from gcs_coloc.estimators.fleet.motion_profiles import PROFILES
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 

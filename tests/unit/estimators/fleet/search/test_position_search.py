@@ -9,8 +9,8 @@ import pytest
 from recordings import recording
 
 from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, NoEstimate, PositionMeasurement, RangeMeasurement
+from gcs_coloc.estimators.fleet.ekf.possible_motion import PROFILES
 from gcs_coloc.estimators.fleet.filter import FleetFilter
-from gcs_coloc.estimators.fleet.motion_profiles import PROFILES
 from gcs_coloc.estimators.fleet.search.position_search import PositionSearch, RangeCircle, is_too_wide
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 from gcs_coloc.evaluation.evaluate import evaluate

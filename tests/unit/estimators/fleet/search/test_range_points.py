@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gcs_coloc.estimators.fleet.search.range_points import range_points
+from gcs_coloc.estimators.fleet.search.gaussian_mixture import range_points
 
 RANGE_M, FINE_M = 10.0, 1.5
 OPEN, KNOWN = np.diag([400.0, 400.0, 400.0]), np.diag([400.0, 400.0, 0.01])
