@@ -63,14 +63,11 @@ def estimate_of_cluster(cluster: Cluster, vehicle: int, at_s: float) -> Estimate
     add_motion(covariance, (added_m2, gap_m2ps2, gap_both))
     if far is not None:
         far += added_m2 * np.eye(2)
-    worst_m = horizontal_sigma_m(covariance)
-    if not worst_m <= cluster.settings.limit_sigma_m:
-        return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.TOO_UNCERTAIN, worst_m))
     units = list(cluster.peers_in_use(vehicle, at_s).values())
     hdop = horizontal_dilution_of(units) if len(units) >= 2 else None
-    return Estimate(
-        vehicle, at_s, position, x[VELOCITY].copy(), covariance, hdop, len(units), None, far, record.air_check.is_refused
-    )
+    refuses_air_data = record.air_check.is_refused
+    where = Estimate(vehicle, at_s, position, x[VELOCITY].copy(), covariance, hdop, len(units), None, far, refuses_air_data)
+    return _if_known_well(where, cluster.settings)
 
 
 def estimate_of_search(
@@ -81,10 +78,7 @@ def estimate_of_search(
     if place is None:
         return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.SEVERAL_PLACES, len(search.mean)))
     mean, covariance = place
-    worst_m = horizontal_sigma_m(covariance)
-    if not worst_m <= settings.limit_sigma_m:
-        return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.TOO_UNCERTAIN, worst_m))
-    return Estimate(vehicle, at_s, mean[:3], mean[3:], covariance, None, len(record.neighbours))
+    return _if_known_well(Estimate(vehicle, at_s, mean[:3], mean[3:], covariance, None, len(record.neighbours)), settings)
 
 
 def with_possible_motion(where: Estimate, record: VehicleRecord, settings: FleetSettings) -> Estimate | NoEstimate:
@@ -98,8 +92,12 @@ def with_possible_motion(where: Estimate, record: VehicleRecord, settings: Fleet
         return where
     covariance = where.covariance.copy()
     covariance[HORIZONTAL] += motion
-    worst_m = horizontal_sigma_m(covariance)
-    if not worst_m <= settings.limit_sigma_m:
-        return NoEstimate(where.vehicle, at_s, Unlocated(NoEstimateReason.TOO_UNCERTAIN, worst_m))
     far = where.protected_covariance[:2, :2] + _LIMIT_SHARE * motion[:2, :2]
-    return replace(where, covariance=covariance, far_covariance=far)
+    return _if_known_well(replace(where, covariance=covariance, far_covariance=far), settings)
+
+
+def _if_known_well(where: Estimate, settings: FleetSettings) -> Estimate | NoEstimate:
+    worst_m = horizontal_sigma_m(where.covariance)
+    if worst_m <= settings.limit_sigma_m:
+        return where
+    return NoEstimate(where.vehicle, where.at_s, Unlocated(NoEstimateReason.TOO_UNCERTAIN, worst_m))

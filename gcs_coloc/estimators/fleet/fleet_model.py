@@ -130,7 +130,7 @@ class FleetModel:
                 # A denied vehicle's states are those of a moving one.
                 record.static = False
                 self.clusters.remove(vehicle)
-            if vehicle not in self.clusters and not self._initialise(vehicle, at_s):
+            if vehicle not in self.clusters and not initialise_from_reports(self.clusters, vehicle, at_s):
                 record.no_estimate_reason = Unlocated(NoEstimateReason.NO_START)
             record.gaps_added_until_s = record.told_at_s = record.updated_at_s
         for vehicle in [v for v, record in self.records.items() if record.denied_vehicle and v not in denied]:
@@ -215,15 +215,14 @@ class FleetModel:
             record.add_range(m)
             presume_bias(record, m.sigma_m * math.sqrt(m.samples), self.settings)
             record.last_range_s[other] = m.measured_at_s
-        at_s = m.measured_at_s
         # Both ends select, whichever of them measured the range.
-        selected = [is_selected(self.clusters, self.records, end, other, at_s, self.settings) for end, other, _ in denied]
+        selected = [is_selected(self.clusters, end, other, m.measured_at_s) for end, other, _ in denied]
         if not all(selected):
             return UpdateResult(Outcome.KEPT_NOT_SELECTED)
-        searching = [is_searching(self.clusters, self.records, vehicle, other, m, self.settings) for vehicle, other, _ in denied]
+        searching = [is_searching(self.clusters, vehicle, other, m) for vehicle, other, _ in denied]
         if any(searching):
             outcomes = [
-                search_with_range(self.clusters, self.records, *denied[i][:2], m, self.settings)
+                search_with_range(self.clusters, *denied[i][:2], m)
                 for i, wanted in enumerate(searching)
                 if wanted and denied[i][1] not in open_sides
             ]
@@ -278,14 +277,11 @@ class FleetModel:
             if vehicle in self.clusters:
                 continue
             if self.records[vehicle].denied_vehicle:
-                found = initialise_from_ranges(self.clusters, self.records, vehicle, at_s, self.settings)
+                found = initialise_from_ranges(self.clusters, vehicle, at_s)
                 return UpdateResult(Outcome.INITIALISED if found else Outcome.KEPT_INITIALISING)
-            if not self._initialise(vehicle, at_s):
+            if not initialise_from_reports(self.clusters, vehicle, at_s):
                 return UpdateResult(Outcome.REFUSED_PEER_WITHOUT_POSITION)
         return None
-
-    def _initialise(self, vehicle: int, at_s: float) -> bool:
-        return initialise_from_reports(self.clusters, self.records, vehicle, at_s, self.settings)
 
     def _prune(self, at_s: float) -> None:
         """Remove peers without recent ranges, and denied vehicles that were silent for an hour.
@@ -338,5 +334,5 @@ class FleetModel:
         if record.last_position.velocity_enu_mps is not None:
             # Filtering the earlier reports too would hardly change the estimate, and this is called often.
             alone.records[vehicle].own_measurements = ()
-        alone._initialise(vehicle, at_s)
+        initialise_from_reports(alone.clusters, vehicle, at_s)
         return alone.estimate(vehicle, at_s)

@@ -127,12 +127,12 @@ class FleetHypotheses:
         models = [(self.main, 0.0), *((h.model, h.log_odds) for h in of_vehicle.values())]
         if all(vehicle in model.clusters for model, _ in models):
             return
-        found = [(search_of(model.clusters, model.records, vehicle, at_s), log_odds) for model, log_odds in models]
+        found = [(search_of(model.clusters, vehicle, at_s), log_odds) for model, log_odds in models]
         places = [(search, log_odds) for search, log_odds in found if search is not None]
         if len(places) > 1 or (places and vehicle not in self.main.clusters):
             (first, reference), *others = places
             search = first.joined([(other, log_odds - reference) for other, log_odds in others])
-            search_with(self.main.clusters, self.main.records, vehicle, search)
+            search_with(self.main.clusters, vehicle, search)
         for group in of_vehicle:
             del self.hypotheses[group]
 

@@ -34,9 +34,9 @@ _TRY_EVERY_S = 0.5
 """Chosen: one multilateration costs some milliseconds."""
 
 
-def initialise_from_reports(clusters: ClusterSet, records: Records, vehicle: int, at_s: float, s: FleetSettings) -> bool:
+def initialise_from_reports(clusters: ClusterSet, vehicle: int, at_s: float) -> bool:
     """Initialise a vehicle's states from its recent reports; False if these are not fresh."""
-    record = records.writable(vehicle)
+    record, s = clusters.records.writable(vehicle), clusters.settings
     last = record.last_position
     if last is None or (at_s - last.measured_at_s > s.initialisation_age_s and not record.static):
         return False
@@ -90,16 +90,16 @@ def learn_manoeuvres(record: VehicleRecord, report: PositionMeasurement, s: Flee
         record.manoeuvre_noise.learn_from_report(report, density_m2ps3, s.noise_level_time_s, record.profile.noise_levels[1])
 
 
-def initialise_from_ranges(clusters: ClusterSet, records: Records, vehicle: int, at_s: float, s: FleetSettings) -> bool:
+def initialise_from_ranges(clusters: ClusterSet, vehicle: int, at_s: float) -> bool:
     """Initialise a denied vehicle from its recent ranges alone; return whether it succeeded.
 
     A failure leaves its reason in the vehicle's record. The next try is made no sooner than after `_TRY_EVERY_S`.
     """
-    record = records.writable(vehicle)
+    record, s = clusters.records.writable(vehicle), clusters.settings
     if at_s - record.initialisation_tried_at_s < _TRY_EVERY_S:
         return False
     record.initialisation_tried_at_s = at_s
-    problem = _multilateration_problem(records, vehicle, at_s, s)
+    problem = _multilateration_problem(clusters.records, vehicle, at_s, s)
     solution = solve_multilateration(problem, s.limit_sigma_m)
     if isinstance(solution, StatedReason):
         record.no_estimate_reason = solution

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from statistics import median
 
 import numpy as np
@@ -23,13 +23,14 @@ from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     AttitudeMeasurement,
     Estimate,
+    FloatArray,
     NoEstimate,
     PositionMeasurement,
     RangeMeasurement,
 )
 from gcs_coloc.core.readiness.held_motion import HeldMotion
 from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd
-from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, ManoeuvreDetector, without_time_error
+from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, ManoeuvreDetector, NoiseSplit, without_time_error
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster, ClusterSet
 from gcs_coloc.estimators.fleet.ekf.measurement_models import air_velocity, altitude, slant_range
 from gcs_coloc.estimators.fleet.ekf.process_model import fresh_air_data, set_transition
@@ -39,14 +40,14 @@ from gcs_coloc.estimators.fleet.ekf.update import (
     augment_by_unknown,
     change_time_stamp_offset_sigma,
     propagate_pair,
+    split_report_noise,
     time_stamp_offset_sigma_s,
 )
 from gcs_coloc.estimators.fleet.estimates import estimate_of_cluster, with_possible_motion
-from gcs_coloc.estimators.fleet.fleet_model import FleetModel
+from gcs_coloc.estimators.fleet.fleet_model import UNDERSTATED, FleetModel
 from gcs_coloc.estimators.fleet.initialisation import initialise_from_reports
 from gcs_coloc.estimators.fleet.observed_biases import presume_bias, unknown_errors
 from gcs_coloc.estimators.fleet.peer_selection import rough_position, select_peers
-from gcs_coloc.estimators.fleet.predicted_peers import PeerPoint, RangeStream, peer_point
 
 _BARO = slice(BARO_ERROR, BARO_ERROR + 1)
 _LONGEST_STEP_S, _LAST_STEP_S = 5.0, 0.7
@@ -64,11 +65,10 @@ def predict_loss(model: FleetModel, query: LossQuery) -> list[Estimate | NoEstim
 
     The first is at the time of its loss. The others follow step by step up to the horizon.
     """
-    prediction, at_s = _LossPrediction(model, query), query.at_s
-    if prediction.cluster is None:
+    at_s, cluster = query.at_s, _cluster_alone(model, query.vehicle, query.at_s)
+    if cluster is None:
         return [model.estimate(query.vehicle, at_s)]
-    prediction.add_peers(model, query.ranges)
-    prediction.initialise(query.horizon_s)
+    prediction = _LossPrediction(model, query, cluster)
     answers = [prediction.estimate(at_s)]
     steps_s = step_lengths_s(query.horizon_s)
     prediction.use_measurements(0.5 * steps_s[0])
@@ -91,42 +91,40 @@ def step_lengths_s(horizon_s: float) -> list[float]:
     return [*steps_s, left_s]
 
 
+def _cluster_alone(model: FleetModel, vehicle: int, at_s: float) -> Cluster | None:
+    """Return a healthy vehicle alone, denied from a time on; None where nothing tells where it is."""
+    known = model.records.get(vehicle)
+    if known is None or known.static or known.denied_vehicle:
+        return None
+    records = Records()
+    records.copy_from(model.records, vehicle)
+    records[vehicle].denied_vehicle = True
+    records[vehicle].told_at_s = at_s
+    clusters, cluster = ClusterSet(model.settings, records), model.clusters.get(vehicle)
+    if cluster is None:
+        return clusters[vehicle] if initialise_from_reports(clusters, vehicle, at_s) else None
+    joint = cluster.joint
+    return clusters.initialise(vehicle, joint.mean(vehicle).copy(), joint.covariance(vehicle).copy(), joint.time_s[vehicle])
+
+
 class _LossPrediction:
     """The filter of one vehicle alone, by which the loss of its GPS is predicted.
 
-    `cluster` is None where nothing tells where the vehicle is. `delay_s` is how long after its measuring a range arrives.
+    `delay_s` is how long after its measuring a range arrives.
     """
 
-    def __init__(self, model: FleetModel, query: LossQuery) -> None:
-        self._settings = s = model.settings
+    def __init__(self, model: FleetModel, query: LossQuery, cluster: Cluster) -> None:
+        self._settings = model.settings
         self._turns_radps = query.turns_radps
-        self._vehicle, self._at_s = vehicle, at_s = query.vehicle, query.at_s
-        self._records = records = Records()
-        self.cluster: Cluster | None = None
-        self._points: dict[int, PeerPoint] = {}
-        self._streams: list[RangeStream] = []
-        self.delay_s = 0.0
+        self._vehicle, self._at_s = query.vehicle, query.at_s
+        self._cluster, self._records = cluster, cluster.records
         self._height_sigma_m, self._height_rate_hz = query.height_sigma_m, 0.0
-        self._way = HeldMotion((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         self._attitude: AttitudeMeasurement | None = None
-        known = model.records.get(vehicle)
-        if known is None or known.static or known.denied_vehicle:
-            return
-        records.copy_from(model.records, vehicle)
-        records[vehicle].denied_vehicle = True
-        records[vehicle].told_at_s = at_s
-        clusters = ClusterSet(s, records)
-        cluster = model.clusters.get(vehicle)
-        if cluster is not None:
-            joint = cluster.joint
-            mean, covariance = joint.mean(vehicle).copy(), joint.covariance(vehicle).copy()
-            self.cluster = clusters.initialise(vehicle, mean, covariance, joint.time_s[vehicle])
-        elif initialise_from_reports(clusters, records, vehicle, at_s, s):
-            self.cluster = clusters[vehicle]
+        self._add_peers(model, query.ranges)
+        self._initialise(query.horizon_s)
 
-    def add_peers(self, model: FleetModel, ranges: Sequence[RangeMeasurement]) -> None:
+    def _add_peers(self, model: FleetModel, ranges: Sequence[RangeMeasurement]) -> None:
         """Add the peers that are ranged now and whose position is known: as many as the filter would select."""
-        assert self.cluster is not None
         by_stream: dict[tuple[int, tuple[int, int, int]], list[RangeMeasurement]] = {}
         for m in sorted(ranges, key=lambda m: m.measured_at_s):
             node = m.to_vehicle if m.from_vehicle == self._vehicle else m.from_vehicle
@@ -136,11 +134,11 @@ class _LossPrediction:
         placed = {
             node: place
             for node in sorted({node for node, _ in by_stream})
-            if (place := rough_position(model.clusters, model.records, node)) is not None
+            if (place := rough_position(model.clusters, node)) is not None
         }
         most = self._settings.peers_per_denied_vehicle
         if len(placed) > most:
-            here = np.array(self.cluster.position(self._vehicle))
+            here = np.array(self._cluster.position(self._vehicle))
             height_known = self._height_sigma_m < math.inf
             chosen = select_peers(here, list(placed.items()), frozenset(), frozenset(), most, height_known=height_known)
             placed = {node: place for node, place in placed.items() if node in chosen}
@@ -150,13 +148,12 @@ class _LossPrediction:
         delays_s = [m.arrived_at_s - m.measured_at_s for each in by_stream.values() for m in each]
         self.delay_s = max(median(delays_s), 0.0) if delays_s else 0.0
 
-    def initialise(self, horizon_s: float) -> None:
+    def _initialise(self, horizon_s: float) -> None:
         """Hold what the vehicle measures of itself, and give the peers their states."""
-        assert self.cluster is not None
-        record, joint = self._records[self._vehicle], self.cluster.joint
+        record, joint = self._records[self._vehicle], self._cluster.joint
         record.manoeuvre = _STEADY.copy()
         velocity_e, velocity_n, velocity_u = joint.mean(self._vehicle)[VELOCITY].tolist()
-        place, turn = self.cluster.position(self._vehicle), self._turns_radps.get(self._vehicle, 0.0)
+        place, turn = self._cluster.position(self._vehicle), self._turns_radps.get(self._vehicle, 0.0)
         known = HeldMotion(place, (velocity_e, velocity_n, velocity_u), turn)
         self._way = known.after(self._at_s - joint.time_s[self._vehicle])
         attitude = fresh_air_data(record, self._settings, self._at_s)
@@ -168,7 +165,7 @@ class _LossPrediction:
             reports = sum(isinstance(m, PositionMeasurement) for m in own)
             self._height_rate_hz = reports / max(own[-1].measured_at_s - own[0].measured_at_s, 1.0) if own else 0.0
             before_m, now_m = record.baro_error_sigma_m, self._height_sigma_m
-            record.baro_error_sigma_m = self.cluster.change_sigma(self._vehicle, _BARO, before_m, now_m)
+            record.baro_error_sigma_m = self._cluster.change_sigma(self._vehicle, _BARO, before_m, now_m)
         self._points = {
             node: replace(point, motion=point.motion.in_formation_with(self._way)) for node, point in self._points.items()
         }
@@ -177,7 +174,7 @@ class _LossPrediction:
             joint.augment(node, np.array(point.motion.position), point.covariance_m2, self._at_s)
         for stream in self._streams:
             if stream.stamp_sigma_s is not None:
-                change_time_stamp_offset_sigma(self.cluster, self._vehicle, stream.stamp_sigma_s)
+                change_time_stamp_offset_sigma(self._cluster, self._vehicle, stream.stamp_sigma_s)
 
     def use_measurements(self, span_s: float) -> None:
         """Use all that is measured in a span about the time of the states."""
@@ -188,8 +185,7 @@ class _LossPrediction:
 
     def estimate(self, at_s: float) -> Estimate | NoEstimate:
         """Return the estimate that would be stated, or why there would be none."""
-        assert self.cluster is not None
-        where = estimate_of_cluster(self.cluster, self._vehicle, at_s)
+        where = estimate_of_cluster(self._cluster, self._vehicle, at_s)
         if isinstance(where, NoEstimate):
             return where
         return with_possible_motion(where, self._records[self._vehicle], self._settings)
@@ -211,8 +207,7 @@ class _LossPrediction:
 
     def propagate(self, to_s: float) -> None:
         """Propagate the vehicle in one step: on a straight way none is too long for the linearisation."""
-        assert self.cluster is not None
-        joint, transition, where = self.cluster.joint, self.cluster.transition, self.cluster.joint.where[self._vehicle]
+        joint, transition, where = self._cluster.joint, self._cluster.transition, self._cluster.joint.where[self._vehicle]
         record, state = self._records[self._vehicle], (joint.A[0, where].tolist(), joint.A[where, where])
         if self._streams:
             # Within the step the ranges go on.
@@ -231,9 +226,9 @@ class _LossPrediction:
                 joint.A[where, where] += (1.0 - decay * decay) * point.covariance_m2
 
     def _use_attitude(self, span_s: float) -> None:
-        if self._attitude is None or self.cluster is None:
+        if self._attitude is None:
             return
-        joint, s, m = self.cluster.joint, self._settings, self._attitude
+        joint, s, m = self._cluster.joint, self._settings, self._attitude
         assert m.airspeed_mps is not None
         linear = air_velocity(joint, m, m.airspeed_mps, span_s, s, self._records[self._vehicle].gust_noise.level)
         linear.HA[:, 0] = 0.0
@@ -243,9 +238,9 @@ class _LossPrediction:
         joint.correct(whiten(linear.HA, linear.innovation_covariance(R)).W)
 
     def _use_height(self, span_s: float) -> None:
-        if not self._height_rate_hz or self.cluster is None:
+        if not self._height_rate_hz:
             return
-        joint, sigma_m = self.cluster.joint, self._height_sigma_m
+        joint, sigma_m = self._cluster.joint, self._height_sigma_m
         # Nothing has shown yet how its error is spread over time: each part may be as large as the whole, eq. (16).
         white_m = sigma_m / math.sqrt(max(self._height_rate_hz * span_s, 1.0))
         height = AltitudeMeasurement(self._vehicle, self._at_s, self._at_s, 0.0, sigma_m)
@@ -254,8 +249,7 @@ class _LossPrediction:
         joint.correct_scalar(hA, variance_m2)
 
     def _use_ranges(self, stream: RangeStream, span_s: float) -> None:
-        assert self.cluster is not None
-        s, joint, point = self._settings, self.cluster.joint, self._points[stream.node]
+        s, joint, point = self._settings, self._cluster.joint, self._points[stream.node]
         at_s, count = joint.time_s[self._vehicle], stream.rate_hz * span_s
         stream.seen += count
         white_m, coloured_m = stream.noise_m(s.least_coloured_share)
@@ -265,12 +259,12 @@ class _LossPrediction:
         presume_bias(record, stream.sigma_m, s)
         unknown = unknown_errors([(self._vehicle, stream.node, record)], stream.pair)
         augment_by_unknown(joint, unknown, at_s)
-        index = propagate_pair(self.cluster, stream.pair, at_s, (s.range_bias_sigma_m, s.range_coloured_share * coloured_m))
+        index = propagate_pair(self._cluster, stream.pair, at_s, (s.range_bias_sigma_m, s.range_coloured_share * coloured_m))
         motion = point.motion.after(at_s - self._at_s)
         peer = RangeEnd(stream.node, joint.where[stream.node], motion.position, motion.velocity)
         clock_of = self._vehicle if stream.stamp_sigma_s is not None else None
         m = RangeMeasurement(self._vehicle, stream.node, at_s, at_s, 0.0, white_m, clock_of=clock_of)
-        ends = self.cluster.range_end(self._vehicle), peer
+        ends = self._cluster.range_end(self._vehicle), peer
         linear = slant_range(joint, ends, index, m, white_m * white_m / count, s.time_stamp_offset_sigma_s / math.sqrt(count))
         if linear is None:
             return
@@ -279,3 +273,64 @@ class _LossPrediction:
         joint.add_sensitivity(unknown, W, math.sqrt(linear.variance_m2))
         record.neighbours[stream.node] = Neighbour(at_s, linear.unit, stream.pair, math.sqrt(linear.variance_m2))
         record.updated_at_s = at_s
+
+
+@dataclass(slots=True)
+class RangeStream:
+    """The ranges of one device to one peer: their rate, stated sigma, and how many of them are used.
+
+    `scatter_m2` is the mean square of what is seen to be white, None where they come too seldom to tell. `stamp_sigma_s` is the
+    time-stamp offset that they state where the vehicle's clock stamps them, else None.
+    """
+
+    node: int
+    pair: tuple[int, int, int]
+    rate_hz: float
+    sigma_m: float
+    scatter_m2: float | None
+    stamp_sigma_s: float | None
+    seen: float = 0.0
+
+    def noise_m(self, least_coloured_share: float) -> tuple[float, float]:
+        """Return the white and the coloured sigma that the filter would have learned by now, m."""
+        noise = NO_SAMPLES
+        if self.scatter_m2 is not None:
+            noise = NoiseSplit((), ((self.scatter_m2 * self.seen, self.seen),))
+        scatter_m = noise.lower_bound_m(0)
+        white_m = scatter_m if scatter_m > UNDERSTATED * self.sigma_m else self.sigma_m
+        return white_m, noise.split(0, self.sigma_m, least_coloured_share)[1]
+
+
+@dataclass(frozen=True, slots=True)
+class PeerPoint:
+    """A peer: how it moves from the beginning on, and the covariance of its position (3, 3) m^2.
+
+    Its error is a Gauss-Markov process as that of position reports; that of an anchor lasts.
+    """
+
+    motion: HeldMotion
+    covariance_m2: FloatArray
+    is_anchor: bool = False
+
+
+def peer_point(model: FleetModel, node: int, at_s: float, turn_radps: float) -> PeerPoint | None:
+    """Return a peer as the filter knows it; None where it does not know where it is."""
+    record = model.records.get(node)
+    if record is None:
+        return None
+    last, s = record.last_position, model.settings
+    if node in model.clusters or last is None or last.velocity_enu_mps is None or record.static:
+        where = model.estimate(node, at_s)
+        if isinstance(where, NoEstimate):
+            return None
+        (e, n, u), (ve, vn, vu) = where.position_enu_m.tolist(), where.velocity_enu_mps.tolist()
+        return PeerPoint(HeldMotion((e, n, u), (ve, vn, vu), turn_radps), where.covariance[:3, :3], record.static)
+    if record.denied_vehicle or at_s - last.measured_at_s > s.initialisation_age_s:
+        return None
+    reports = sum(isinstance(m, PositionMeasurement) for m in record.recent_own)
+    white, coloured = split_report_noise(record, last, s)
+    velocity = np.array(last.velocity_enu_mps)
+    variances_m2 = [white[axis // 2] ** 2 / max(reports, 1) + coloured[axis // 2] ** 2 for axis in range(3)]
+    covariance_m2 = np.diag(variances_m2) + time_stamp_offset_sigma_s(last, s) ** 2 * np.outer(velocity, velocity)
+    reported = HeldMotion(last.position_enu_m, last.velocity_enu_mps, turn_radps)
+    return PeerPoint(reported.after(at_s - last.measured_at_s), covariance_m2)

@@ -9,8 +9,6 @@ import numpy as np
 
 from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray
 from gcs_coloc.estimators.fleet.ekf.cluster import ClusterSet
-from gcs_coloc.estimators.fleet.ekf.records import Records
-from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 _SELECT_EVERY_S = 2.0
 """Chosen: each change costs correlations; geometry changes little in 2 s."""
@@ -22,42 +20,41 @@ _PRIOR_INFORMATION = 1e-3
 """Chosen: makes the cofactor matrix regular; small against one range, whose information is 1."""
 
 
-def is_selected(clusters: ClusterSet, records: Records, denied_vehicle: int, other: int, at_s: float, s: FleetSettings) -> bool:
+def is_selected(clusters: ClusterSet, denied_vehicle: int, other: int, at_s: float) -> bool:
     """Return whether a denied vehicle uses the ranges of another one; selects anew every 2 s.
 
     The denied vehicle's record is changed, so it must be writable.
     """
-    record = records[denied_vehicle]
+    record, s = clusters.records[denied_vehicle], clusters.settings
     if other not in record.selected_peers and len(record.last_range_s) <= s.peers_per_denied_vehicle:
         record.selected_peers = frozenset(record.last_range_s)
     if at_s - record.selected_at_s >= _SELECT_EVERY_S:
         record.selected_at_s = at_s
         fresh = sorted(v for v, t in record.last_range_s.items() if at_s - t <= s.peer_fresh_s)
         few = len(fresh) <= s.peers_per_denied_vehicle
-        record.selected_peers = (
-            frozenset(fresh) if few else _select_anew(clusters, records, denied_vehicle, fresh, s.peers_per_denied_vehicle)
-        )
+        record.selected_peers = frozenset(fresh) if few else _select_anew(clusters, denied_vehicle, fresh)
     return other in record.selected_peers
 
 
-def _select_anew(clusters: ClusterSet, records: Records, denied_vehicle: int, fresh: list[int], most: int) -> frozenset[int]:
-    here, record = rough_position(clusters, records, denied_vehicle), records[denied_vehicle]
-    placed = [(v, there) for v in fresh if (there := rough_position(clusters, records, v)) is not None]
+def _select_anew(clusters: ClusterSet, denied_vehicle: int, fresh: list[int]) -> frozenset[int]:
+    here, record = rough_position(clusters, denied_vehicle), clusters.records[denied_vehicle]
+    placed = [(v, there) for v in fresh if (there := rough_position(clusters, v)) is not None]
+    most = clusters.settings.peers_per_denied_vehicle
     if here is None or len(placed) <= most:
         return frozenset([v for v, _ in placed][:most])
-    denied = {vehicle: other for vehicle, other in records.items() if other.denied_vehicle}
+    denied = {vehicle: other for vehicle, other in clusters.records.items() if other.denied_vehicle}
     used = (other.selected_peers for vehicle, other in denied.items() if vehicle != denied_vehicle)
     shared = frozenset().union(*used) - denied.keys()
     height_known = any(isinstance(m, AltitudeMeasurement) for m in record.recent_own)
     return select_peers(here, placed, record.selected_peers, shared, most, height_known=height_known)
 
 
-def rough_position(clusters: ClusterSet, records: Records, vehicle: int) -> FloatArray | None:
+def rough_position(clusters: ClusterSet, vehicle: int) -> FloatArray | None:
     """Return the position (3,) of a vehicle's states, m, or else the one that it reported last.
 
     None means that it has neither.
     """
-    cluster, record = clusters.get(vehicle), records.get(vehicle)
+    cluster, record = clusters.get(vehicle), clusters.records.get(vehicle)
     if record is None:
         return None
     if cluster is not None:

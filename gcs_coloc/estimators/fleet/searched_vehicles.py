@@ -14,7 +14,7 @@ from gcs_coloc.estimators.fleet.ekf.adaptive_noise import ManoeuvreDetector
 from gcs_coloc.estimators.fleet.ekf.cluster import ClusterSet
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome
 from gcs_coloc.estimators.fleet.ekf.possible_motion import HORIZONTAL, MotionProfile
-from gcs_coloc.estimators.fleet.ekf.records import Neighbour, Records
+from gcs_coloc.estimators.fleet.ekf.records import Neighbour
 from gcs_coloc.estimators.fleet.ekf.state import POSITION, pair_key
 from gcs_coloc.estimators.fleet.gaps import add_gap, tell_of_all_directions
 from gcs_coloc.estimators.fleet.initialisation import initialise_from_reports
@@ -25,21 +25,19 @@ _UNSHOWN_LOG_ODDS = -3.0
 """Chosen: one in twenty, so that a place where only a manoeuvre leads that the vehicle has not shown before stays possible."""
 
 
-def is_searching(
-    clusters: ClusterSet, records: Records, vehicle: int, other: int, m: RangeMeasurement, settings: FleetSettings
-) -> bool:
+def is_searching(clusters: ClusterSet, vehicle: int, other: int, m: RangeMeasurement) -> bool:
     """Return whether a denied vehicle is searched; begin its search if this range needs one.
 
     It does where the vehicle is too uncertain to linearise the range.
     """
-    record, cluster = records[vehicle], clusters.get(vehicle)
+    record, cluster = clusters.records[vehicle], clusters.get(vehicle)
     if cluster is None:
         return record.search is not None
     add_gap(cluster, vehicle, m.measured_at_s)
     P = cluster.joint.covariance(vehicle)
     if not is_too_wide(P.item(0, 0) + P.item(1, 1), m.range_m, m.sigma_m):
         return False
-    there = _locate_peer(clusters, records, other, m.measured_at_s, settings)
+    there = _locate_peer(clusters, other, m.measured_at_s)
     if there is None:
         return False
     # What a peer's own error adds to a range is no reason to search.
@@ -47,16 +45,16 @@ def is_searching(
     _, P = cluster.predict(vehicle, m.measured_at_s)
     if not is_too_wide(P.item(0, 0) + P.item(1, 1), m.range_m, sigma_m):
         return False
-    search_with(clusters, records, vehicle, search_of(clusters, records, vehicle, m.measured_at_s))
+    search_with(clusters, vehicle, search_of(clusters, vehicle, m.measured_at_s))
     return True
 
 
-def search_of(clusters: ClusterSet, records: Records, vehicle: int, at_s: float) -> PositionSearch | None:
+def search_of(clusters: ClusterSet, vehicle: int, at_s: float) -> PositionSearch | None:
     """Return the search of a denied vehicle, or a new one that begins with its states.
 
     A new one also holds all that the vehicle may have done in a gap.
     """
-    record, cluster = records[vehicle], clusters.get(vehicle)
+    record, cluster = clusters.records[vehicle], clusters.get(vehicle)
     if cluster is None:
         return record.search
     x, P = cluster.predict(vehicle, at_s)
@@ -68,25 +66,23 @@ def search_of(clusters: ClusterSet, records: Records, vehicle: int, at_s: float)
     return search.joined([(PositionSearch.of_state(x, P, at_s), _UNSHOWN_LOG_ODDS)])
 
 
-def search_with(clusters: ClusterSet, records: Records, vehicle: int, search: PositionSearch | None) -> None:
+def search_with(clusters: ClusterSet, vehicle: int, search: PositionSearch | None) -> None:
     """Search a denied vehicle from now on: it leaves its cluster."""
-    records.writable(vehicle).search = search
+    clusters.records.writable(vehicle).search = search
     clusters.remove(vehicle)
 
 
-def search_with_range(
-    clusters: ClusterSet, records: Records, vehicle: int, other: int, m: RangeMeasurement, settings: FleetSettings
-) -> Outcome:
+def search_with_range(clusters: ClusterSet, vehicle: int, other: int, m: RangeMeasurement) -> Outcome:
     """Update the search of a denied vehicle with a range, and return the outcome.
 
     With one place left, the vehicle's states are initialised there.
     """
-    record, at_s = records[vehicle], m.measured_at_s
+    record, at_s = clusters.records[vehicle], m.measured_at_s
     assert record.search is not None
-    there = _locate_peer(clusters, records, other, at_s, settings)
+    there = _locate_peer(clusters, other, at_s)
     if there is None:
         return Outcome.KEPT_INITIALISING
-    search = predicted_search(record.search, record.profile, at_s, settings)
+    search = predicted_search(record.search, record.profile, at_s, clusters.settings)
     error = record.lasting_error((other, m.device_id))
     if error is not None:
         # An error of a range that lasts is as one of the peer's distance.
@@ -118,16 +114,13 @@ def predicted_search(search: PositionSearch, profile: MotionProfile, at_s: float
     return search.predicted(at_s, densities, (0.5 * profile.max_speed_mps, profile.max_climb_mps))
 
 
-def _locate_peer(
-    clusters: ClusterSet, records: Records, vehicle: int, at_s: float, settings: FleetSettings
-) -> tuple[FloatArray, FloatArray] | None:
+def _locate_peer(clusters: ClusterSet, vehicle: int, at_s: float) -> tuple[FloatArray, FloatArray] | None:
     """Return position (3,) and covariance (3, 3) of a peer by its states, None where it has none."""
-    if vehicle not in clusters and (
-        records[vehicle].denied_vehicle or not initialise_from_reports(clusters, records, vehicle, at_s, settings)
-    ):
+    record = clusters.records[vehicle]
+    if vehicle not in clusters and (record.denied_vehicle or not initialise_from_reports(clusters, vehicle, at_s)):
         return None
     cluster = clusters[vehicle]
-    if records[vehicle].static:
+    if record.static:
         return cluster.joint.mean(vehicle).copy(), cluster.joint.covariance(vehicle).copy()
     x, P = cluster.predict(vehicle, at_s)
     return x[POSITION].copy(), P[POSITION, POSITION].copy()

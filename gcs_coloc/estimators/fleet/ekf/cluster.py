@@ -14,7 +14,7 @@ from gcs_coloc.core.measurements import FloatArray, Vector3
 from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd, Transition, range_jacobian
 from gcs_coloc.estimators.fleet.ekf.air_data import steady_air_m2
 from gcs_coloc.estimators.fleet.ekf.process_model import fresh_air_data, set_transition, step_ends
-from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S, VehicleRecord
+from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S, Records
 from gcs_coloc.estimators.fleet.ekf.state import HEADING_ERROR, TIME_STAMP_OFFSET, VELOCITY, WIND, JointState, Key, ends
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
@@ -34,9 +34,7 @@ class Cluster:
 
     __slots__ = ("joint", "records", "settings", "transition")
 
-    def __init__(
-        self, settings: FleetSettings, records: Mapping[int, VehicleRecord], transition: Transition, joint: JointState
-    ) -> None:
+    def __init__(self, settings: FleetSettings, records: Records, transition: Transition, joint: JointState) -> None:
         self.settings = settings
         self.records = records
         self.transition = transition
@@ -184,22 +182,20 @@ class Cluster:
 class ClusterSet:
     """The clusters of one model, by vehicle; a vehicle without states is in none.
 
-    `records` is shared with the model.
+    `records` and `settings` are those of the model.
     """
 
-    __slots__ = ("_of", "_records", "_settings", "_transition")
+    __slots__ = ("_of", "_transition", "records", "settings")
 
-    def __init__(
-        self, settings: FleetSettings, records: Mapping[int, VehicleRecord], transition: Transition | None = None
-    ) -> None:
-        self._settings = settings
-        self._records = records
+    def __init__(self, settings: FleetSettings, records: Records, transition: Transition | None = None) -> None:
+        self.settings = settings
+        self.records = records
         self._of: dict[int, Cluster] = {}
         self._transition = Transition() if transition is None else transition
 
-    def copy(self, records: Mapping[int, VehicleRecord]) -> ClusterSet:
+    def copy(self, records: Records) -> ClusterSet:
         """Return an independent copy for a model with the records given."""
-        other = ClusterSet(self._settings, records, self._transition)
+        other = ClusterSet(self.settings, records, self._transition)
         clusters = {id(c): c for c in self._of.values()}
         copies = {key: other._cluster(c.joint.copy()) for key, c in clusters.items()}
         other._of = {vehicle: copies[id(c)] for vehicle, c in self._of.items()}
@@ -258,7 +254,7 @@ class ClusterSet:
     def prune(self, links: Mapping[int, set[int]]) -> None:
         """Keep vehicles that are linked or denied; split clusters into the parts that links connect."""
         for vehicle in sorted(self._of):
-            if not self._records[vehicle].denied_vehicle and vehicle not in links:
+            if not self.records[vehicle].denied_vehicle and vehicle not in links:
                 self.remove(vehicle)
         seen: set[int] = set()
         for vehicle in sorted(self._of):
@@ -283,4 +279,4 @@ class ClusterSet:
                     self._of[member] = part
 
     def _cluster(self, joint: JointState) -> Cluster:
-        return Cluster(self._settings, self._records, self._transition, joint)
+        return Cluster(self.settings, self.records, self._transition, joint)

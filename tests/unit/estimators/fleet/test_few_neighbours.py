@@ -139,8 +139,8 @@ EAST, NORTH = (150.0, 0.0, 0.0), (0.0, 150.0, 0.0)
 @pytest.mark.parametrize(("anchors", "told_at_s"), [([EAST], 1.0), ([EAST, NORTH], 3.0)], ids=["one", "two"])
 def test_a_search_that_ends_beside_one_neighbour_has_told_of_nothing_more(anchors, told_at_s: float):
     model = beside(anchors, 3.0)
-    found = search_of(model.clusters, model.records, DENIED, 3.0)
-    search_with(model.clusters, model.records, DENIED, replace(found, uses={1: 20}))
+    found = search_of(model.clusters, DENIED, 3.0)
+    search_with(model.clusters, DENIED, replace(found, uses={1: 20}))
     assert model.apply(RangeMeasurement(DENIED, 1, 3.0, 3.0, 150.0, 0.5)).outcome is Outcome.INITIALISED
     assert model.records[DENIED].told_at_s == pytest.approx(told_at_s)
 

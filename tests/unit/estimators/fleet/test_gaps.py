@@ -196,7 +196,7 @@ def hovering() -> FleetModel:
 def test_a_search_that_begins_in_a_gap_keeps_one_in_twenty_for_a_new_manoeuvre():
     model = hovering()
     add_gap(model.clusters[DENIED], DENIED, 34.0)
-    search = search_of(model.clusters, model.records, DENIED, 34.0)
+    search = search_of(model.clusters, DENIED, 34.0)
     assert search is not None
     (shown_m2, all_m2), log_weight = search.covariance[:, 0, 0], search.log_weight
     assert all_m2 > 25.0 * shown_m2
