@@ -17,9 +17,8 @@ from math import hypot, inf, sqrt
 import numpy as np
 
 from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius, horizontal_sigma_m
-from gcs_coloc.core.integrity.epoch_tests.adjustment import Adjustment, adjust
 from gcs_coloc.core.integrity.epoch_tests.epoch import MIN_INFORMATION_PER_M2, Epoch, Past
-from gcs_coloc.core.integrity.epoch_tests.fault_tests import REST_LEVEL, chi2_limit, run_test
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import REST_LEVEL, Adjustment, adjust, chi2_limit, run_test
 from gcs_coloc.core.integrity.epoch_tests.isolation import isolate
 from gcs_coloc.core.measurements import Estimate, FloatArray, PositionMeasurement
 

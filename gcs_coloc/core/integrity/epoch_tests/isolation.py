@@ -30,10 +30,9 @@ from math import exp, hypot, inf
 
 import numpy as np
 
-from gcs_coloc.core.integrity.epoch_tests.adjustment import adjust
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, Past
 from gcs_coloc.core.integrity.epoch_tests.fault_model import AdjustedHypothesis, FaultKind, FaultModel, Hypothesis
-from gcs_coloc.core.integrity.epoch_tests.fault_tests import REST_LEVEL, RULED_OUT_MARGIN, chi2_limit
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import REST_LEVEL, RULED_OUT_MARGIN, adjust, chi2_limit
 from gcs_coloc.core.integrity.epoch_tests.pair_outliers import cost_of_their_pairs, cost_of_two_pairs
 from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.core.stations.node_id import is_station

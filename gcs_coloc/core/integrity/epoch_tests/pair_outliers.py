@@ -19,9 +19,8 @@ from itertools import combinations
 from math import inf
 from typing import NamedTuple
 
-from gcs_coloc.core.integrity.epoch_tests.adjustment import adjust
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, Past
-from gcs_coloc.core.integrity.epoch_tests.fault_tests import REST_LEVEL, chi2_limit
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import REST_LEVEL, adjust, chi2_limit
 
 FURTHER_PAIR_PENALTY = 9.2  # twice the log of 100: chosen, so much rarer is each further pair that is off at the same time
 

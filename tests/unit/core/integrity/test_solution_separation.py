@@ -9,8 +9,8 @@ from math import cos, hypot, pi, sin
 import numpy as np
 import pytest
 
-from gcs_coloc.core.integrity.epoch_tests.adjustment import adjust
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import adjust
 from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel
 from gcs_coloc.core.integrity.solution_separation import (
     FaultClass,

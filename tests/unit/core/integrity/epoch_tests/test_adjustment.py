@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from reference_adjustment import Adjustment as ReferenceAdjustment
 
-from gcs_coloc.core.integrity.epoch_tests.adjustment import adjust
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import adjust
 from gcs_coloc.core.integrity.epoch_tests.normal_equations import pseudo_inverse
 
 
