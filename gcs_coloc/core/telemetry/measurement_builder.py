@@ -38,7 +38,9 @@ class MeasurementBuilder:
     """Turns the messages of one fleet into measurements in the fleet's frame.
 
     `refused` counts what it refuses. `frame` is None until the first position of a vehicle with trusted GPS sets its origin, or
-    a station does.
+    a station does. By vehicle: `reported` is the newest position that it reported of itself, believed or not, `receiver_fixes`
+    the newest 3D fix of its own receiver while it is not trusted, `attitude_at_s` when its newest attitude with airspeed was
+    measured.
     """
 
     def __init__(self, settings: MeasurementSettings, clocks: FleetClocks) -> None:
@@ -49,18 +51,18 @@ class MeasurementBuilder:
         self._positions = PositionBuilder(settings)
         self._altitudes = AltitudeBuilder()
         self._ranges = RangeBuilder(settings)
-        self._reported: dict[int, PositionMeasurement] = {}
-        self._attitude_at_s: dict[int, float] = {}
-        self._receiver_fixes: dict[int, PositionMeasurement] = {}
+        self.reported: dict[int, PositionMeasurement] = {}
+        self.attitude_at_s: dict[int, float] = {}
+        self.receiver_fixes: dict[int, PositionMeasurement] = {}
 
     def forget(self, sysid: int) -> None:
         """Forget a vehicle that makes room for another one."""
         self._positions.forget(sysid)
         self._altitudes.forget(sysid)
         self._ranges.forget(sysid)
-        self._reported.pop(sysid, None)
-        self._attitude_at_s.pop(sysid, None)
-        self._receiver_fixes.pop(sysid, None)
+        self.reported.pop(sysid, None)
+        self.attitude_at_s.pop(sysid, None)
+        self.receiver_fixes.pop(sysid, None)
 
     def set_origin(self, station: Station) -> None:
         """Set the fleet's origin at a station, where no vehicle has set it yet."""
@@ -89,7 +91,7 @@ class MeasurementBuilder:
         if self.frame is None:
             return None
         reported = self._positions.build(message, vehicle.receiver, measured, self.frame, is_trusted=is_trusted)
-        self._reported[message.sysid] = reported
+        self.reported[message.sysid] = reported
         if is_trusted:
             self._altitudes.add_trusted_position(message, reported)
             return BuiltPosition(reported, reported)
@@ -132,7 +134,7 @@ class MeasurementBuilder:
         air = vehicle.airspeed
         fresh = vehicle.winged and air is not None and message.received_at_s - air.received_at_s <= _AIRSPEED_FRESH_S
         if fresh:
-            self._attitude_at_s[message.sysid] = measured.at_s
+            self.attitude_at_s[message.sysid] = measured.at_s
         return AttitudeMeasurement(
             vehicle=message.sysid,
             measured_at_s=measured.at_s,
@@ -164,32 +166,17 @@ class MeasurementBuilder:
     def add_receiver(self, message: GpsReceiver, vehicle: ReportedState, *, is_trusted: bool) -> None:
         """Add a report of a vehicle's own receiver.
 
-        While the vehicle is not trusted, `receiver_fix` returns its fix as a measurement.
+        While the vehicle is not trusted, `receiver_fixes` has its fix as a measurement.
         """
         if is_trusted or self.frame is None or message.fix_type < FIX_3D:
-            self._receiver_fixes.pop(message.sysid, None)
+            self.receiver_fixes.pop(message.sysid, None)
             return
         measured = self._clocks.fix_time(message)
-        self._receiver_fixes[message.sysid] = self._positions.build_fix(message, vehicle.position, measured, self.frame)
-
-    def reported(self, sysid: int) -> PositionMeasurement | None:
-        """Return the newest position that a vehicle reported of itself, believed or not."""
-        return self._reported.get(sysid)
-
-    def receiver_fix(self, sysid: int) -> PositionMeasurement | None:
-        """Return the newest fix of a vehicle's own receiver while the vehicle is not trusted.
-
-        None while it is trusted, and without a 3D fix or a frame.
-        """
-        return self._receiver_fixes.get(sysid)
-
-    def attitude_at_s(self, sysid: int) -> float | None:
-        """Return when the newest attitude with airspeed of a vehicle was measured, s."""
-        return self._attitude_at_s.get(sysid)
+        self.receiver_fixes[message.sysid] = self._positions.build_fix(message, vehicle.position, measured, self.frame)
 
     def delay_s(self, sysid: int) -> float | None:
         """Return how long the newest position was under way beyond what is assumed, s."""
-        reported = self._reported.get(sysid)
+        reported = self.reported.get(sysid)
         return reported.arrived_at_s - reported.measured_at_s if reported is not None else None
 
     def height_sigma_m(self, sysid: int, now_s: float) -> float:
