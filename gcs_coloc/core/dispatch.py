@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from gcs_coloc.core.aiding.aiding import Aiding
 from gcs_coloc.core.aiding.methods.ranging_beacon import VettedRanges
@@ -102,25 +102,6 @@ class MessageDispatch:
 
     def __init__(self, stages: Stages) -> None:
         self._stages = stages
-        self._handlers: dict[type[Any], Callable[[Any, ReportedState, LastRound], list[Outbound] | None]] = {
-            GlobalPosition: self._add_position,
-            Pressure: self._add_pressure,
-            GpsReceiver: self._add_receiver,
-            SystemTime: self._add_system_time,
-        }
-        # What no later stage has to judge; more than half of all messages.
-        self._measured_handlers: dict[type[Any], Callable[[Any, ReportedState], list[Outbound] | None]] = {
-            Attitude: self._add_attitude,
-            PeerRange: self._add_range,
-        }
-        # What needs no more than the message. No lambdas: a copy of the engine must not hand messages to the original's stages.
-        self._answer_handlers: dict[type[Any], Callable[[Any], list[Outbound] | None]] = {
-            Heartbeat: self._add_heartbeat,
-            TimeSyncAnswer: stages.clocks.add_answer,
-            CommandResult: stages.aiding.add_result,
-            GlobalOrigin: stages.aiding.add_origin,
-            ParameterValue: stages.aiding.add_parameter,
-        }
         self._classes: dict[int, VehicleClass] = {}
 
     def forget(self, sysid: int) -> None:
@@ -133,17 +114,36 @@ class MessageDispatch:
 
         The reported state of the vehicle holds the message already. `last_round` returns what later stages found of a vehicle.
         """
-        if (measured_handler := self._measured_handlers.get(type(message))) is not None:
-            return measured_handler(message, vehicle) or []
-        if (handler := self._handlers.get(type(message))) is not None:
-            return handler(message, vehicle, last_round(vehicle.sysid)) or []
-        if (answer_handler := self._answer_handlers.get(type(message))) is not None:
-            return answer_handler(message) or []
+        s, sysid = self._stages, vehicle.sysid
+        match message:
+            # First what comes most often; no later stage has to judge it.
+            case Attitude():
+                self._add_measurement(s.measurements.attitude(message, vehicle))
+            case PeerRange():
+                return self._add_range(message, vehicle)
+            case GlobalPosition():
+                self._add_position(message, vehicle, last_round(sysid))
+            case GpsReceiver():
+                self._add_receiver(message, vehicle, last_round(sysid))
+            case Pressure():
+                last = last_round(sysid)
+                altitude = s.measurements.pressure(message, is_trusted=last.is_trusted, located_enu_m=last.located_enu_m)
+                self._add_measurement(altitude)
+            case SystemTime():
+                s.clocks.add_system_time(message, gps_is_trusted=last_round(sysid).is_trusted)
+            case Heartbeat():
+                self._add_heartbeat(message)
+            case TimeSyncAnswer():
+                s.clocks.add_answer(message)
+            case CommandResult():
+                return s.aiding.add_result(message)
+            case GlobalOrigin():
+                s.aiding.add_origin(message)
+            case ParameterValue():
+                return s.aiding.add_parameter(message)
+            case _:
+                pass
         return []
-
-    def _add_system_time(self, message: SystemTime, vehicle: ReportedState, last: LastRound) -> None:
-        del vehicle
-        self._stages.clocks.add_system_time(message, gps_is_trusted=last.is_trusted)
 
     def _add_heartbeat(self, message: Heartbeat) -> None:
         found, at_s = message.vehicle_class, message.received_at_s
@@ -165,14 +165,6 @@ class MessageDispatch:
     def _add_measurement(self, measurement: AltitudeMeasurement | AttitudeMeasurement | PositionMeasurement | None) -> None:
         if measurement is not None and self._stages.proven.is_proven(measurement.vehicle):
             self._stages.estimator.add(measurement)
-
-    def _add_pressure(self, message: Pressure, vehicle: ReportedState, last: LastRound) -> None:
-        del vehicle
-        measurements = self._stages.measurements
-        self._add_measurement(measurements.pressure(message, is_trusted=last.is_trusted, located_enu_m=last.located_enu_m))
-
-    def _add_attitude(self, message: Attitude, vehicle: ReportedState) -> None:
-        self._add_measurement(self._stages.measurements.attitude(message, vehicle))
 
     def _add_range(self, message: PeerRange, vehicle: ReportedState) -> list[Outbound]:
         s = self._stages
