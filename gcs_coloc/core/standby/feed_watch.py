@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from gcs_coloc.core.standby.other_service import PRESENT_S, OtherService
+from gcs_coloc.core.standby.sign_of_life import PRESENT_S, OtherService
 
 _HEARD_WITHIN_S = 0.5
 """Chosen: a vehicle sends its position ten times a second; one that is silent shows nothing."""

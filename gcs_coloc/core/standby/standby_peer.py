@@ -17,12 +17,15 @@ from collections.abc import Collection
 from gcs_coloc.core.messages.control import SwitchedReceiver
 from gcs_coloc.core.reasons import StatedReason
 from gcs_coloc.core.standby.feed_watch import FeedPermits, FeedWatch
-from gcs_coloc.core.standby.other_service import FRESH_S, PRESENT_S, Heard, OtherService
 from gcs_coloc.core.standby.sign_of_life import (
+    FRESH_S,
     NOTHING_SHARED,
+    PRESENT_S,
     SENDS_OR_MAY,
+    Heard,
     Identity,
     OrderRefusal,
+    OtherService,
     OverrideInForce,
     Shared,
     SignOfLife,

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gcs_coloc.core.reasons import StatedReason
-from gcs_coloc.core.standby.other_service import OtherService
-from gcs_coloc.core.standby.sign_of_life import Identity, StandbyReason, StandbyState
+from gcs_coloc.core.standby.sign_of_life import Identity, OtherService, StandbyReason, StandbyState
 
 ALONE_S = 5.0
 """A standby that has never heard the other one takes over after so long. Chosen: both laptops are started within it."""
