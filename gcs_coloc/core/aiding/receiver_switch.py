@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import Protocol
 
 from gcs_coloc.core.aiding.parameters import RETRY_S
 from gcs_coloc.core.messages.control import SwitchedReceiver
@@ -55,34 +54,14 @@ _NEXT: dict[tuple[SwitchStep, ReceiverAnswer], tuple[SwitchStep | None, str | No
 Order = ParameterRequest | ParameterSet | SensorEnable
 
 
-class OwnReceiver(Protocol):
-    """One vehicle's own receiver: orders that take it out of use and back, and what answers mean."""
-
-    first_step: SwitchStep
-
-    def order(self, step: SwitchStep) -> Order:
-        """Return what is sent in a step that waits for an answer."""
-
-    def answer(self, step: SwitchStep, message: ParameterValue | CommandResult) -> ReceiverAnswer | None:
-        """Return what a message says of the receiver; None where it is about something else.
-
-        It keeps what restores the receiver.
-        """
-
-    def wording(self, step: SwitchStep, answer: ReceiverAnswer | None) -> str:
-        """Return what is told of an answer in a step.
-
-        Of one that changes nothing, or of none (None), that is after all tries.
-        """
-
-    def before(self) -> SwitchedReceiver:
-        """Return what restores it."""
-
-
 class PrimaryParameter:
     """The own receiver of an ArduPilot, switched by the parameter GPS_PRIMARY.
 
     GPS_PRIMARY is set to the receiver that we feed, and restored to the value that was read before.
+
+    As `EstimatorSensor` does, it has the orders that take the receiver out of use and back, what answers mean, None where they
+    are about something else, and what is told of an answer in a step: of one that changes nothing, or of none (None), that is
+    after all tries.
     """
 
     first_step = SwitchStep.READING
@@ -179,6 +158,10 @@ class EstimatorSensor:
             (SwitchStep.RESTORING, ReceiverAnswer.REFUSED): f"it does not let its own GPS be switched on ({self._outcome.value})",
             (SwitchStep.RESTORING, ReceiverAnswer.IN_USE): "its own GPS is switched on again",
         }[step, answer]
+
+
+OwnReceiver = PrimaryParameter | EstimatorSensor
+"""One vehicle's own receiver."""
 
 
 @dataclass(slots=True)

@@ -5,9 +5,10 @@ It observes: no estimate, no state of GPS and no message depends on it.
 
 from __future__ import annotations
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from math import hypot, inf
 
 from gcs_coloc.core.aiding.settings import AidingSettings
@@ -52,7 +53,7 @@ class RecentRanges:
     """
 
     def __init__(self) -> None:
-        self._of: dict[int, deque[RangeMeasurement]] = {}
+        self._of: defaultdict[int, deque[RangeMeasurement]] = defaultdict(partial(deque, maxlen=_MOST_RANGES))
 
     def forget(self, vehicle: int) -> None:
         """Forget the ranges of a vehicle."""
@@ -62,10 +63,7 @@ class RecentRanges:
         """Add a range."""
         for end in (measurement.from_vehicle, measurement.to_vehicle):
             if end > 0:
-                ranges = self._of.get(end)
-                if ranges is None:
-                    ranges = self._of[end] = deque(maxlen=_MOST_RANGES)
-                ranges.append(measurement)
+                self._of[end].append(measurement)
 
     def of(self, vehicle: int, now_s: float) -> list[RangeMeasurement]:
         """Return the ranges of a vehicle that were measured within the last 10 s."""
