@@ -150,7 +150,7 @@ class RangeConsistency:
     def _find_noise(
         self, whole: Epoch, present: FaultTestResult | None, left: NoiseModel, now_s: float, doubtful: Collection[int]
     ) -> NoiseModel:
-        """Return the noise of an epoch: what is `left` of that before, enlarged or made smaller where the ranges show it.
+        """Return the noise of an epoch: what is `left` of that before, changed where the ranges show it.
 
         `present` is the result of the epoch's test alone.
         """
@@ -193,7 +193,10 @@ class RangeConsistency:
             self._detection.end_of_tests()
 
     def _isolate(self, tests: _Tests, now_s: float, doubtful: Collection[int]) -> dict[float, Isolation]:
-        """Return what explains each contradiction, by interval in s, where a sample that shares no range is due."""
+        """Return what explains each contradiction, by interval in s, where a new sample is due.
+
+        A new sample shares no range with the one before.
+        """
         epoch, pasts, results = tests
         pairs_fail = now_s <= self._pairs_fail_until_s
         samples: dict[float, Isolation] = {}
@@ -211,7 +214,7 @@ class RangeConsistency:
     def _persistent(
         self, samples: Mapping[float, Isolation], tests: _Tests, doubtful: Collection[int]
     ) -> tuple[dict[int, float], set[int]]:
-        """Return the vehicles that enough samples in a row isolate, with their offsets in m, and those spared as coarse."""
+        """Return the vehicles that enough samples isolate, with offsets in m, and those spared as coarse."""
         identified: dict[int, float] = {}
         coarse: set[int] = set()
         for interval_s, sample in samples.items():

@@ -1,4 +1,4 @@
-"""The sign of life that the two services of one fleet send each other, and what it tells of the other service.
+"""The sign of life of the two services of one fleet, and what it tells of the other service.
 
 Also here: the states of a service, why it is in one, and what an operator may order. All that is known of the other service, its
 state, its silence, and whether it answers us, is from its signs of life.

@@ -196,7 +196,7 @@ def _fix(
 def circles_of(
     ranges: Mapping[int, RangeMeasurement], own: PeerTrack, peers: Mapping[int, PeerTrack], at_s: float, settings: QuZhangSettings
 ) -> tuple[list[Circle], list[str]]:
-    """Return the circles of an epoch's ranges (by peer) at `at_s`, and the reasons why others are unusable.
+    """Return the circles of an epoch's ranges by peer at `at_s`, and why others are unusable.
 
     The reasons are in words. `peers` are the tracks of the vehicles that may serve as peers. Without a height of its own the
     vehicle has no circle.

@@ -37,8 +37,9 @@ class MethodContext:
 
 @dataclass(frozen=True, slots=True)
 class FixInputs:
-    """What earlier stages know of a vehicle at the time of one message. Times are on the service's clock, s.
+    """What earlier stages know of a vehicle at the time of one message.
 
+    Times are on the service's clock, s.
     `is_trusted`: its own receiver is in its estimate. `has_air_data`: airspeed and bank show how it moves. `is_aligned`: its EKF
     reports an absolute position. `one_way_delay_s`: the least delay of its link. `range_sigma_m`: 1-sigma of its ranges of late.
     `median_nis`, `range_jump_m`: how its ranges fit. `ranges` are its vetted ones since the last message, `locate_node` estimates

@@ -160,7 +160,7 @@ class _Waiting:
 
 
 class VettedRanges:
-    """The vetted ranges, those to trusted nodes that the estimator has used, that have not been handed over yet.
+    """The ranges to trusted nodes that the estimator has used and that have not been handed over yet.
 
     `wants` says of a system id whether that vehicle is handed ranges.
     """

@@ -1,4 +1,4 @@
-"""Evidence on the noise: from one epoch that is inconsistent, and over time where no test of one epoch fails.
+"""Evidence on the noise, from one inconsistent epoch and over time where no single epoch fails.
 
 An inconsistency of ranges and reported positions is one fault, several pairs that are off, or more noise. A fault of receivers is
 left to the tests over time (`range_consistency`). Several pairs that are off, or more noise than stated everywhere, may be
@@ -77,7 +77,7 @@ class SmallerNoise:
     due_s: float = -inf
 
     def update(self, epoch: Epoch, noise: NoiseModel, now_s: float) -> NoiseModel | None:
-        """Add an epoch as stated, if it is due; return the smaller noise, once it has been likelier for a while."""
+        """Add an epoch as stated, if it is due; return the smaller noise once it has long been likelier."""
         if noise.is_as_stated:
             self.windows = 0
         elif epoch.residuals and now_s >= self.due_s:
