@@ -1,10 +1,9 @@
-"""The traffic between links and engine: datagrams to messages, in their turn, and outputs to frames."""
+"""The traffic between links and engine: datagrams to messages, and outputs to frames."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass, field, replace
-from operator import itemgetter
 
 from gcs_coloc.core.messages.control import ForeignGpsInput, RouteReport
 from gcs_coloc.core.messages.inbound import Inbound
@@ -18,9 +17,6 @@ from gcs_coloc.mavlink.encoder import Encoder
 from gcs_coloc.mavlink.framing import RawFrame
 from gcs_coloc.mavlink.refusals import Counts, Refusal
 from gcs_coloc.mavlink.signing import Stamp
-
-_AT_ONCE_S = 0.02
-"""Chosen: page, log and the other service of a hot standby wait no longer than a person or a vehicle would notice."""
 
 
 @dataclass(slots=True)
@@ -195,44 +191,3 @@ class Sender:
     def _stamp(self, route: Route) -> Stamp | None:
         signing = self._signed.of(route.link.name)
         return signing.stamp(self._clock()) if signing is not None else None
-
-
-class Backlog:
-    """What waits to be received, in the order in which it came.
-
-    It is worked off in portions, so that a busy host lets everything else go on between.
-    """
-
-    def __init__(self) -> None:
-        self._waiting: list[tuple[float, Callable[[], None]]] = []
-        self._rest = 0  # of the last portion
-
-    def __len__(self) -> int:
-        return len(self._waiting)
-
-    @property
-    def oldest_s(self) -> float:
-        """When the oldest arrived (service time, s). Only where something waits."""
-        return min(at_s for at_s, _ in self._waiting)
-
-    def add(self, at_s: float, receive: Callable[[], None]) -> None:
-        """Have `receive` called in its turn for what arrived at service time `at_s` (s)."""
-        self._waiting.append((at_s, receive))
-
-    def receive_some(self, clock: Clock) -> None:
-        """Receive the oldest of what waits, for `_AT_ONCE_S` at least.
-
-        Where some were left the last time, as many are received as came since, so that the backlog does not grow.
-        """
-        waiting, self._waiting = sorted(self._waiting, key=itemgetter(0)), []
-        least = len(waiting) - self._rest if self._rest else 0
-        ends_s = clock() + _AT_ONCE_S
-        received = 0
-        try:
-            for received, (_, receive) in enumerate(waiting, 1):
-                receive()
-                if received >= least and clock() > ends_s:
-                    break
-        finally:
-            self._waiting = waiting[received:] + self._waiting
-            self._rest = len(self._waiting)
