@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from itertools import groupby
 from types import MappingProxyType
@@ -162,7 +162,7 @@ def settings_of(tables: Sequence[Mapping[str, Any]], flags: Mapping[str, Any], s
 
     _refuse_unknown_variables()
     try:
-        return FromFile(**flags)
+        settings = FromFile(**flags)
     except SettingsError as error:
         # Its own text names the field, its cause what is wrong with the JSON.
         raise ConfigError(
@@ -172,6 +172,24 @@ def settings_of(tables: Sequence[Mapping[str, Any]], flags: Mapping[str, Any], s
         problems = [_flag_problem(e, flags) or (_variable_of(e, flags) or source, _problem(e)) for e in error.errors()]
         by_source = groupby(problems, key=lambda problem: problem[0])
         raise ConfigError("; ".join(f"{where}: {'; '.join(text for _, text in found)}" for where, found in by_source)) from None
+    for table in tables:
+        for key, value in _booleans_read_as_numbers(table, settings):
+            raise ConfigError(f"{source}: {key}: must be a number, not {str(value).lower()}")
+    return settings
+
+
+def _booleans_read_as_numbers(table: Mapping[str, Any], found: Any, section: str = "") -> Iterator[tuple[str, bool]]:
+    """Yield the keys of a table that are true or false where the setting is no boolean.
+
+    `found` are the settings made of it. To pydantic, as to Python, true is 1.
+    """
+    for name, value in table.items():
+        key = f"{section}{name}"
+        of_settings = found.get(name) if isinstance(found, Mapping) else getattr(found, name, None)
+        if isinstance(value, Mapping):
+            yield from _booleans_read_as_numbers(value, of_settings, f"{key}.")
+        elif isinstance(value, bool) and not isinstance(of_settings, bool):
+            yield key, value
 
 
 def _flag_problem(error: Any, flags: Mapping[str, Any]) -> tuple[str, str] | None:
@@ -227,7 +245,10 @@ def _problem(error: Any) -> str:
             return f"{key}: is called {renamed} since version 0.2"
         return f"{key}: unknown key; see the configuration reference for those there are"
     if error["type"] == "tuple_type":
-        return f"{key}: must be a list, in brackets: [...]"
+        is_table = isinstance(error["input"], Mapping)
+        return (
+            f"{key}: must be a table in double brackets, [[{key}]]" if is_table else f"{key}: must be a list, in brackets: [...]"
+        )
     if error["type"] in ("dataclass_type", "model_type", "dict_type"):
         return f"{key}: must be a table of settings, [{key}]"
     text = error["msg"].removeprefix(_VALUE_ERROR)
