@@ -1,6 +1,6 @@
 """Tests a receiver's fix against the estimate and against the ranges. Pure statistics, no memory.
 
-The ranges between the vehicle and witnesses are adjusted with the fix as the vehicle's prior (`adjustment`). What is left over is
+The ranges between the vehicle and witnesses are adjusted with the fix as the vehicle's prior (`Adjustment`). What is left over is
 explained by a fault of that fix, of peers' positions, of a pair or of a device (`isolation`).
 
 Either reference may be wrong itself. An estimate may be a reflection, biased by ranges, or uncertain: it counts with its

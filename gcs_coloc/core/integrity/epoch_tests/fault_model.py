@@ -8,7 +8,7 @@ z ranges, p reported positions, e their fault-free errors with covariance S, b t
 are eliminated: V = R + H S H', with H the range Jacobian. Statistic: T = (z - h(b))' V^-1 (z - h(b)), minimised over b and over
 the positions of vehicles without prior. A difference of T between two hypotheses is twice their log likelihood ratio.
 
-The linear `adjustment` does not serve here: a receiver that is off by a sizeable part of a range bends the range's direction.
+The linear `Adjustment` does not serve here: a receiver that is off by a sizeable part of a range bends the range's direction.
 
 Source: P. J. G. Teunissen, Testing Theory (2000), generalised likelihood ratio; Y. Bar-Shalom et al., Estimation with
 Applications to Tracking and Navigation (2001), section 3.4, nonlinear least squares.
