@@ -17,7 +17,7 @@ import pytest
 from command_line import gcs_coloc
 from flight import PATIENCE_S, Watched, browser
 from playwright.sync_api import WebSocketRoute, expect
-from recorded_flight import EPOCH_S, write_flight
+from recorded_flight import EPOCH_S, write_flight, write_truth
 
 from gcs_coloc.recorder.tlog import TlogReader, tlog_record
 
@@ -26,23 +26,21 @@ pytestmark = pytest.mark.integration
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory) -> tuple[Path, Path]:
-    """40 s, vehicle 4 without GPS after 20 s, and the truth of that vehicle."""
+    """20 s, vehicle 4 without GPS after 10 s, and the truth of that vehicle."""
     path = tmp_path_factory.mktemp("flight") / "flight.tlog"
-    truth = write_flight(path, 40.0)
     table = path.with_name("truth.csv")
-    rows = "".join(f"{unix_s!r},4,{lat_deg!r},{lon_deg!r},600\n" for unix_s, (lat_deg, lon_deg) in truth.items())
-    table.write_text(f"unix_s,sysid,lat_deg,lon_deg,alt_msl_m\n{rows}")
+    write_truth(table, (point for point in write_flight(path, 20.0) if point.sysid == 4))
     return path, table
 
 
 @pytest.fixture(scope="module")
 def long_recording(recording, tmp_path_factory) -> Path:
-    """The same flight 90 times on end, an hour: more than is computed during the test."""
+    """The same flight 180 times on end, an hour: more than is computed during the test."""
     path = tmp_path_factory.mktemp("long") / "long.tlog"
     once = list(TlogReader(recording[0]))
     with path.open("wb") as file:
-        for n in range(90):
-            file.writelines(tlog_record(record.unix_s + 40.0 * n, record.frame) for record in once)
+        for n in range(180):
+            file.writelines(tlog_record(record.unix_s + 20.0 * n, record.frame) for record in once)
     return path
 
 
@@ -74,7 +72,7 @@ def test_a_flight_is_played_paused_and_sought_in_by_keyboard(replayed):
         watched = Watched(page)
         page.goto(url)
         # From the beginning and slowly: it has played since before the browser was there, and must not be at its end yet.
-        assert answer(url, "api/playback", b'{"playing": true, "seek_s": 0, "speed": 0.5}') == 200
+        assert answer(url, "api/playback", b'{"playing": true, "seek_s": 0, "speed": 0.25}') == 200
         place = page.get_by_role("slider", name="Position in the recording")
         state = page.locator("#connection")
         page.get_by_role("button", name="Pause").click()
@@ -82,7 +80,7 @@ def test_a_flight_is_played_paused_and_sought_in_by_keyboard(replayed):
         expect(page.locator("#commands")).to_be_hidden()
         place.focus()
         page.keyboard.press("End")
-        expect(place).to_have_attribute("aria-valuetext", re.compile("^0:(39|40) of 0:(39|40)$"))
+        expect(place).to_have_attribute("aria-valuetext", re.compile("^0:(19|20) of 0:(19|20)$"))
         alarm = page.locator("#alarms li").filter(has_text="vehicle 4: GPS failed")
         expect(alarm).to_be_visible()
         expect(page.get_by_role("button", name="Vehicle 4: true position")).to_be_visible()
@@ -159,7 +157,7 @@ def answer(url: str, path: str, body: bytes, **headers: str) -> int:
 def test_the_controls_need_no_token_but_no_foreign_page_reaches_them_and_there_are_no_commands(replayed):
     _, url = replayed
     assert answer(url, "api/playback", b'{"playing": false, "speed": "max"}') == 200
-    assert answer(url, "api/playback", b'{"seek_s": %f}' % (EPOCH_S + 30.0)) == 200
+    assert answer(url, "api/playback", b'{"seek_s": %f}' % (EPOCH_S + 15.0)) == 200
     assert answer(url, "api/playback", b'{"halt": true}') == 200
     assert answer(url, "api/playback", b'{"speed": -1}') == 422
     assert answer(url, "api/playback", b"x" * 2000) == 413

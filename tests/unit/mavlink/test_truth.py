@@ -6,7 +6,7 @@ import struct
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from recorded_flight import EPOCH_S, SCENARIO
+from recorded_flight import EPOCH_S, early_loss
 
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.estimators.registry import load_estimator
@@ -15,7 +15,6 @@ from gcs_coloc.mavlink.framing import read_frame
 from gcs_coloc.recorder.replay import Replay, replay
 from gcs_coloc.recorder.tlog import TlogReader
 from sitl_fakes.fleet import Fleet
-from sitl_fakes.scenario import load_scenario
 
 LAT_E7, LON_E7 = 473_977_420, 85_455_940
 MOTION = (0.1,) * 9
@@ -46,11 +45,10 @@ def test_what_is_no_place_and_what_is_no_truth_tells_nothing():
 
 def test_the_engine_answers_the_same_with_and_without_the_truth_on_the_wire(tmp_path):
     with_truth, without = tmp_path / "with.tlog", tmp_path / "without.tlog"
-    scenario = load_scenario(SCENARIO)
-    fleet = Fleet(scenario.model_copy(update={"truth_messages": True}), seed=3, unix_epoch_s=EPOCH_S)
+    fleet = Fleet(early_loss().model_copy(update={"truth_messages": True}), seed=3, unix_epoch_s=EPOCH_S)
     told = 0
     with with_truth.open("wb") as a, without.open("wb") as b:
-        for datagram in fleet.advance(28.0):
+        for datagram in fleet.advance(14.0):
             record = struct.pack(">Q", round((EPOCH_S + datagram.due_s) * 1e6)) + datagram.payload
             a.write(record)
             if truth_of(read_frame(datagram.payload, 0), 0.0) is None:
@@ -64,7 +62,7 @@ def test_the_engine_answers_the_same_with_and_without_the_truth_on_the_wire(tmp_
         engine = Engine(load_estimator("fleet", {}))
         through = Replay(engine, TlogReader(path), [], lambda *polled, told=outputs: told.append(polled))
         replay(through)
-        answers.append((outputs, engine.snapshot(EPOCH_S + 28.0)))
+        answers.append((outputs, engine.snapshot(EPOCH_S + 14.0)))
         assert set(through.messages.truths) == ({1, 2, 3, 4} if path is with_truth else set())
     assert answers[0] == answers[1]
     assert any(v.gps_state == "failed" for v in answers[0][1].vehicles)

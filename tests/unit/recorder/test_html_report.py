@@ -10,7 +10,7 @@ from html.parser import HTMLParser
 import pytest
 from command_line import gcs_coloc
 from matplotlib.image import imread
-from recorded_flight import write_flight
+from recorded_flight import LOST_S, write_flight
 
 from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.engine import Engine
@@ -23,7 +23,7 @@ from gcs_coloc.recorder.tlog import TlogReader
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     directory = tmp_path_factory.mktemp("report")
-    write_flight(directory / "flight <4>.tlog", 26.0)
+    write_flight(directory / "flight <4>.tlog", 16.0)
     path = directory / "flight <4>.tlog"
     path.write_bytes(path.read_bytes()[:-5])
     done = gcs_coloc("report", path)
@@ -89,7 +89,7 @@ def test_it_says_what_failed_when_and_how_well_it_was_located(written):
     page = Page(text)
     changes = [row for row in page.rows if len(row) == 5 and row[1] == "4"]
     assert [row[3] for row in changes] == ["healthy", "suspect", "failed"]
-    assert 20.0 <= float(changes[-1][0]) <= 22.5
+    assert LOST_S <= float(changes[-1][0]) <= LOST_S + 2.5
     facts = {row[0]: row[1] for row in page.rows if len(row) == 2}
     assert float(facts["without its GPS"].removesuffix(" s")) == pytest.approx(6.0, abs=1.0)
     assert int(facts["GPS_INPUT with a fix"]) > 25
@@ -102,7 +102,7 @@ def test_it_says_what_failed_when_and_how_well_it_was_located(written):
 
 def test_the_map_names_its_origin_and_it_is_that_of_the_live_page(written, tmp_path):
     _, text = written
-    write_flight(tmp_path / "f.tlog", 26.0)
+    write_flight(tmp_path / "f.tlog", 4.0)
     history = read_history(tmp_path / "f.tlog", Settings(), None, None)
     engine = Engine(load_estimator("fleet", {}))
     replay(Replay(engine, TlogReader(tmp_path / "f.tlog"), [], lambda at_s, outputs: None))

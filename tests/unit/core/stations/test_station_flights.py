@@ -8,7 +8,7 @@ from math import cos, dist, sin
 import numpy as np
 import pytest
 from engine_flights import fly, settings, telemetry, texts, vehicle_4
-from recorded_flight import write_flight
+from recorded_flight import early_loss, write_flight
 from station_flights import FRAME, PLACES, configured, error_m, fly_with_ranges, ranges
 
 from gcs_coloc.config.fleets import load_settings
@@ -22,7 +22,7 @@ from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.evaluation.calibration import calibrate as calibrate_devices
 from gcs_coloc.recorder.flight_history import read_history
 from sitl_fakes.geodesy import WorldFrame
-from sitl_fakes.scenario import SCENARIOS, load_scenario
+from sitl_fakes.scenario import load_scenario
 
 
 def test_a_vehicle_alone_is_located_by_stations_with_the_numbers_of_vehicles():
@@ -143,7 +143,7 @@ def _same_noise(until_s: float):
 
 def test_a_recorded_flight_with_stations_is_replayed_the_same_and_can_be_reported_and_calibrated(tmp_path):
     file = tmp_path / "flight.tlog"
-    write_flight(file, 30.0, SCENARIOS / "stations.toml")
+    write_flight(file, 26.0, early_loss("stations", 20.0))
     chosen = load_settings(None, {"station": [stated(s) for s in load_scenario("stations").station]})
     histories = [read_history(file, chosen, None, None) for _ in range(2)]
     tracks = [[(e.at_s, e.vehicle.enu_m, e.vehicle.covariance_h_m2) for e in h.tracks[4]] for h in histories]
