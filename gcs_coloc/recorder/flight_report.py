@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from array import array
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.estimator import Estimator
+from gcs_coloc.core.estimator import Estimator, LossQuery
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.gps_health import DISTRUSTED
 from gcs_coloc.core.measurements import (
@@ -166,6 +166,9 @@ class FlightReport:
         self._of(point.sysid).epochs.append((point.unix_s, truth_enu_m, answer if isinstance(answer, Estimate) else None))
 
 
+_PredictLoss = Callable[[LossQuery], Sequence[Estimate | NoEstimate]]
+
+
 class MeasurementTap:
     """An estimator around another one that keeps its measurements for the data checks.
 
@@ -175,6 +178,8 @@ class MeasurementTap:
 
     def __init__(self, inner: Estimator) -> None:
         self._inner = inner
+        self.predict_loss: _PredictLoss | None = getattr(inner, "predict_loss", None)
+        """As `PredictsLoss` says, None where the inner estimator does not predict."""
         self._positions: dict[int, array[float]] = defaultdict(lambda: array("d"))
         self._static: dict[int, PositionTrack] = {}
         self._ranges = array("d")

@@ -45,6 +45,14 @@ def findings(flown, change: Callable[[TruthPoint], TruthPoint]) -> list[DataFind
     return heard.findings([change(point) for point in truth], engine.frame)
 
 
+def test_a_replay_has_the_readiness_of_the_flight(flown):
+    _, _, engine, _ = flown
+    readiness = [vehicle.readiness for vehicle in engine.snapshot(EPOCH_S + 40.0).vehicles if vehicle.sysid != 4]
+    assert {found.reason for found in readiness} <= {"no_peer", "one_peer"}
+    assert len(readiness) == 3
+    assert MeasurementTap(Silent()).predict_loss is None
+
+
 def test_of_a_sound_flight_nothing_is_said(flown):
     assert findings(flown, lambda p: p) == []
 
