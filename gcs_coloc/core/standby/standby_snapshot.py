@@ -17,6 +17,7 @@ class StandbySnapshot:
 
     Times are service time, s, and ages are in s. None stands for never.
 
+    `other_state` is None as well while the other one gives no sign of life: what it does then is not known.
     `sends`: `this`, `other`, `nobody` or `unknown`. `fed_sysid`: a vehicle that shows that the other one feeds it. `problem`:
     what a person should do, None where all is well. `waiting_for_sysids`: the vehicles that show nothing of who feeds them,
     for which the operator must take over.
@@ -59,7 +60,7 @@ def standby_snapshot(stand: Stand, other: OtherService, now_s: float) -> Standby
         term=stand.term,
         sends=_who_sends(stand, other, now_s),
         other=_name(other.identity) if other.identity is not None else None,
-        other_state=other.state.value if other.state is not None else None,
+        other_state=other.state.value if other.state is not None and other.is_present(now_s) else None,
         other_age_s=now_s - other.heard_at_s if other.heard_at_s is not None else None,
         fed_sysid=stand.fed_sysid,
         problem=_problem(stand, other, now_s),

@@ -49,7 +49,9 @@ function select(sysid, byKeyboard) {
 function draw() {
   // While pictures arrive, the ages in them hold; once they stop, the ages grow with the time since.
   const old = now() - frameAt;
-  fleet.show(frame, counts?.links ?? [], old < OLD_AFTER_S ? 0 : old);
+  const older = old < OLD_AFTER_S ? 0 : old;
+  fleet.show(frame, counts?.links ?? [], older);
+  standby.show(frame.standby, timeText, older);
   commands.show(frame.vehicles);
 }
 
@@ -106,7 +108,6 @@ function picture(message) {
   updateOffset(frame.utc_minus_service_s);
   draw();
   alarms.show(frame.alarms);
-  standby.show(frame.standby, timeText);
   map.show(frame);
   if (frame.at_s - sampledAt >= SAMPLE_EVERY_S) {
     sampledAt = frame.at_s;

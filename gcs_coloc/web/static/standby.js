@@ -32,7 +32,8 @@ export class StandbyPanel {
     this.allowed = allowed;
   }
 
-  show(standby, timeText) {
+  // `older`: how old the picture is, s, where no more arrive.
+  show(standby, timeText, older) {
     byId("standby-panel").hidden = standby === null;
     if (standby === null) return;
     byId("standby-form").hidden = !this.allowed;
@@ -40,9 +41,9 @@ export class StandbyPanel {
     setText(byId("standby-state"), `${STATES[standby.state]} (${standby.reason})`);
     setText(byId("standby-since"), timeText(standby.since_s));
     setText(byId("standby-sends"), SENDS[standby.sends]);
-    const other = standby.other === null ? "never heard" : `${standby.other}: ${STATES[standby.other_state]}`.replace("this service", "it").replace("the other service", "this one");
-    setText(byId("standby-other"), other);
-    setText(byId("standby-heard"), standby.other_age_s === null ? "never" : `${age(standby.other_age_s)} ago`);
+    const other = STATES[standby.other_state]?.replace("this service", "it").replace("the other service", "this one") ?? "not heard";
+    setText(byId("standby-other"), standby.other === null ? "never heard" : `${standby.other}: ${other}`);
+    setText(byId("standby-heard"), standby.other_age_s === null ? "never" : `${age(standby.other_age_s + older)} ago`);
     setText(byId("standby-problem"), standby.problem ?? "");
     for (const { button, states } of this.buttons) button.hidden = !states.includes(standby.state) && this.confirmation.armed?.button !== button;
   }

@@ -30,6 +30,8 @@ def test_after_a_kill_the_other_one_sends_within_half_a_second(seed):
     pair.run(at_s + 5.0)
     (vehicle,) = pair.vehicles
     assert pair.active() == [1]
+    seen = pair.services[1].peer.snapshot(pair.clock_of(1))
+    assert (seen.sends, seen.other_state) == ("this", None)  # and not two that send
     assert gaps(vehicle, SETTLED_S, pair.now_s - 0.2) <= 0.5
     assert overlaps(vehicle) == []
 
