@@ -45,7 +45,7 @@ class InhibitReason(WordedReason):
     NO_ESTIMATE = "no_estimate", "{detail}"
     BEYOND_ALERT_LIMIT = (
         "beyond_alert_limit",
-        "protection level {value:.0f} m is beyond the alert limit of {limit:g} m",
+        "protection level {value:.1f} m is beyond the alert limit of {limit:g} m",
     )
     NO_PROTECTION_LEVEL = "no_protection_level", "its position has no protection level"
     UNTESTED = "untested", "its ranges cannot test the position of {detail}, and require_fault_tests is set"

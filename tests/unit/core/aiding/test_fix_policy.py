@@ -71,8 +71,8 @@ def test_a_protection_level_that_swings_about_the_limit_gives_a_fix_that_waits_a
 
 
 def test_a_protection_level_beyond_the_limit_is_named_with_both():
-    (word,) = asked(FixPolicy(AidingSettings(alert_limit_m=30.0), 0.0), [known(0.0, sigma_m=20.0)], 0.0)
-    assert word == "protection level 40 m is beyond the alert limit of 30 m"
+    (word,) = asked(FixPolicy(AidingSettings(alert_limit_m=30.0), 0.0), [known(0.0, sigma_m=15.1)], 0.0)
+    assert word == "protection level 30.2 m is beyond the alert limit of 30 m"  # not 30 m, beyond 30 m
 
 
 def test_prediction_alone_is_a_fix_for_ten_seconds_and_no_longer_however_small_its_bound():
