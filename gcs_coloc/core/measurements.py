@@ -68,6 +68,15 @@ class RangeMeasurement:
     time_sigma_m: float = 0.0
     samples: float = 1.0
 
+    @property
+    def ends(self) -> tuple[int, int]:
+        """Both vehicles."""
+        return self.from_vehicle, self.to_vehicle
+
+    def other_end(self, vehicle: int) -> int:
+        """Return the end that a vehicle at the one end ranges."""
+        return self.to_vehicle if self.from_vehicle == vehicle else self.from_vehicle
+
 
 @dataclass(frozen=True, slots=True)
 class AltitudeMeasurement:

@@ -70,7 +70,7 @@ def antenna_range(
 ) -> AntennaRange:
     """Return the range with its lever arms, of `from` and `to`; those of an anchor are north, east, down."""
     turned, unknown_m = [], 0.0
-    for vehicle, arm in zip((m.from_vehicle, m.to_vehicle), arms, strict=True):
+    for vehicle, arm in zip(m.ends, arms, strict=True):
         at_anchor = body_to_enu(arm, 0.0, 0.0, 0.0) if vehicle in anchors else None
         found = at_anchor if at_anchor is not None else attitudes.lever_arm_enu_m(vehicle, arm, m.measured_at_s)
         turned.append(found if found is not None else np.zeros(3))
@@ -96,7 +96,7 @@ def body_range(m: AntennaRange, estimator: Estimator, anchors: Mapping[int, Vect
     length times its angle.
     """
     places, sigma_m = [], 0.0
-    for vehicle in (m.from_vehicle, m.to_vehicle):
+    for vehicle in m.ends:
         if vehicle in anchors:
             places.append(np.array(anchors[vehicle]))
             continue

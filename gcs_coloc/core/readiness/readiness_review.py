@@ -61,7 +61,7 @@ class RecentRanges:
 
     def add(self, measurement: RangeMeasurement) -> None:
         """Add a range."""
-        for end in (measurement.from_vehicle, measurement.to_vehicle):
+        for end in measurement.ends:
             if end > 0:
                 self._of[end].append(measurement)
 
@@ -174,7 +174,7 @@ class ReadinessReview:
 
     def _predict(self, sysid: int, now_s: float, inputs: ReadinessInputs) -> VehicleReadiness:
         ranges, node, epoch = inputs.ranges, inputs.node, inputs.epoch
-        others = {m.to_vehicle if m.from_vehicle == sysid else m.from_vehicle for m in ranges}
+        others = {m.other_end(sysid) for m in ranges}
         peers = {other: reported for other in sorted(others) if (reported := node(other)) is not None}
         used = [m for m in ranges if m.to_vehicle in peers or m.from_vehicle in peers]
         turns_radps = {vehicle: self._turns.of(vehicle) for vehicle in (sysid, *peers)}

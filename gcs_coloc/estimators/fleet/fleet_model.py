@@ -204,7 +204,7 @@ class FleetModel:
         return result
 
     def _update_range(self, m: RangeMeasurement, open_sides: frozenset[int]) -> UpdateResult:
-        ends = (m.from_vehicle, m.to_vehicle)
+        ends = m.ends
         first, second = self.records.writable(ends[0]), self.records.writable(ends[1])
         denied = [(*ends, first)] if first.denied_vehicle else []
         if second.denied_vehicle:

@@ -85,8 +85,7 @@ def decide_unshown_motion(cluster: Cluster, vehicle: int, result: UpdateResult, 
     if record.unshown is None or result.degrees_of_freedom == 0:
         return
     if result.nis <= _UNSHOWN_NIS:
-        other = m.to_vehicle if m.from_vehicle == vehicle else m.from_vehicle
-        if at_s - _known_until_s(cluster, other, at_s) <= GAP_S:
+        if at_s - _known_until_s(cluster, m.other_end(vehicle), at_s) <= GAP_S:
             record.unshown = record.unshown.after_range(result.unit, result.sigma_m)
         return
     unshown = record.unshown.covariance(at_s)

@@ -93,7 +93,7 @@ class FleetHypotheses:
 
     def apply(self, m: Measurement) -> UpdateResult:
         """Update all models with one measurement, not older than any before it."""
-        ends = (m.from_vehicle, m.to_vehicle) if isinstance(m, RangeMeasurement) else (m.vehicle,)
+        ends = m.ends if isinstance(m, RangeMeasurement) else (m.vehicle,)
         if isinstance(m, RangeMeasurement):
             self._save_before_gap(m)
         if not self.hypotheses:
@@ -138,7 +138,7 @@ class FleetHypotheses:
 
     def _save_before_gap(self, m: RangeMeasurement) -> None:
         """Save the predicted estimate of the denied vehicles of a range that is the first after a gap."""
-        for denied_vehicle in (m.from_vehicle, m.to_vehicle):
+        for denied_vehicle in m.ends:
             gap_s = m.measured_at_s - self._tested_at_s.get(denied_vehicle, math.inf)
             cluster = self.main.clusters.get(denied_vehicle)
             if gap_s > _GAP_S and cluster is not None:

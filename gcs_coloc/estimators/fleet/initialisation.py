@@ -120,7 +120,7 @@ def _multilateration_problem(records: Records, vehicle: int, at_s: float, s: Fle
     """Return the recent ranges of a vehicle to peers with fresh reports, and its own heights."""
     problem = MultilaterationProblem(at_s)
     for m in records[vehicle].recent_ranges:
-        peer = m.to_vehicle if m.from_vehicle == vehicle else m.from_vehicle
+        peer = m.other_end(vehicle)
         report = records[peer].last_position
         if report is None or records[peer].denied_vehicle:
             continue

@@ -127,7 +127,7 @@ class _LossPrediction:
         """Add the peers that are ranged now and whose position is known: as many as the filter would select."""
         by_stream: dict[tuple[int, tuple[int, int, int]], list[RangeMeasurement]] = {}
         for m in sorted(ranges, key=lambda m: m.measured_at_s):
-            node = m.to_vehicle if m.from_vehicle == self._vehicle else m.from_vehicle
+            node = m.other_end(self._vehicle)
             by_stream.setdefault((node, pair_key(node, self._vehicle, m.device_id)), []).append(m)
         fresh_s = self._at_s - self._settings.peer_fresh_s
         by_stream = {key: each for key, each in by_stream.items() if each[-1].measured_at_s >= fresh_s}

@@ -243,7 +243,7 @@ class QuZhangFilter:
             ] += 1
 
     def _add_range(self, measurement: RangeMeasurement) -> None:
-        ends = (measurement.from_vehicle, measurement.to_vehicle)
+        ends = measurement.ends
         located = [(own, peer) for own, peer in (ends, ends[::-1]) if own in self._denied]
         if not located:
             self._counts[QuZhangOutcome.RANGE_BOTH_GPS] += 1

@@ -62,7 +62,7 @@ class RangingBeaconMethod(AidingMethod):
     def build_messages(self, moment: Moment) -> Sequence[AidingMessage | Notice]:
         """As the base says."""
         self._now_s = now_s = moment.now_s
-        self._newest |= {m.to_vehicle if m.from_vehicle == self._sysid else m.from_vehicle: m for m in moment.known.ranges}
+        self._newest |= {m.other_end(self._sysid): m for m in moment.known.ranges}
         self._newest = {peer: one for peer, one in self._newest.items() if now_s - one.measured_at_s <= _OLDEST_S}
         if moment.inhibit is not None and moment.inhibit.reason in _STOPPING:
             self._newest.clear()
@@ -202,8 +202,8 @@ class VettedRanges:
                     self._add_vetted(m, is_trusted)
 
     def _add_vetted(self, m: RangeMeasurement, is_trusted: Callable[[int], bool]) -> None:
-        for vehicle, peer in ((m.from_vehicle, m.to_vehicle), (m.to_vehicle, m.from_vehicle)):
-            if self._wants(vehicle) and is_trusted(peer):
+        for vehicle in m.ends:
+            if self._wants(vehicle) and is_trusted(m.other_end(vehicle)):
                 ready = self._ready.setdefault(vehicle, [])
                 ready.append(m)
                 del ready[:-_MAX_READY]
