@@ -156,22 +156,27 @@ class Engine:
     def poll(self, now_s: float) -> list[Outbound]:
         """Run the stages that are due, and return all that is to be sent or shown by now."""
         self._now_s = now_s
-        if now_s >= self._review_due_s:
-            self._review_due_s = self._review_schedule.after(now_s, REVIEWED_EVERY_S)
-            self.reviewed_at_s = now_s
-            self._outbox.extend(self._review.review_integrity(now_s))
-            for vehicle in self.telemetry:
-                self._outbox.extend(self._review.review_vehicle(vehicle, now_s))
-                self._request_time(vehicle, now_s)
-            self._review.end_round()
-            self._outbox.extend(self.aiding.parameter_requests(now_s))
-            if self.settings.request_streams:
-                self._outbox.extend(self._streams.due(now_s, self.telemetry.heard_streams()))
+        is_review_due = now_s >= self._review_due_s
+        if is_review_due:
+            self._review_fleet(now_s)
+        out = self.serve(now_s)
+        if is_review_due:
             # After the residuals: to predict must not bring them forward.
-            out = self.serve(now_s)
             self._review.review_readiness(now_s)
-            return out
-        return self.serve(now_s)
+        return out
+
+    def _review_fleet(self, now_s: float) -> None:
+        """Run integrity, and for each vehicle the stages from GPS health on; ask vehicles for what is missing."""
+        self._review_due_s = self._review_schedule.after(now_s, REVIEWED_EVERY_S)
+        self.reviewed_at_s = now_s
+        self._outbox.extend(self._review.review_integrity(now_s))
+        for vehicle in self.telemetry:
+            self._outbox.extend(self._review.review_vehicle(vehicle, now_s))
+            self._request_time(vehicle, now_s)
+        self._review.end_round()
+        self._outbox.extend(self.aiding.parameter_requests(now_s))
+        if self.settings.request_streams:
+            self._outbox.extend(self._streams.due(now_s, self.telemetry.heard_streams()))
 
     def serve(self, now_s: float) -> list[Outbound]:
         """Return what is to be sent and shown by now: `poll` without its review of the fleet."""
