@@ -283,16 +283,7 @@ class _Recursion:
             level = protection_level(where, faults, Exposure(a.delay_is_known, at_s if air_data else None), a.protection)
             bound_m, hpl_m = horizontal_bound_95_m(where.covariance), level.horizontal_m
             offset_m = hypot(*(where.position_enu_m[:2] - here[sysid][:2]).tolist())
-            where = Estimate(
-                sysid,
-                at_s,
-                where.position_enu_m,
-                where.velocity_enu_mps,
-                where.covariance,
-                where.hdop,
-                where.ranges_in_use,
-                level,
-            )
+            where = replace(where, protection=level)
         inhibit = self._policies[sysid].inhibit(where, at_s, own_gps=False, air_data=air_data)
         hdop = horizontal_dilution_of(ranged.values()) if len(ranged) >= 2 else math.inf
         limit = limiting_reason(inhibit, where, hdop, tuple(ranged))
