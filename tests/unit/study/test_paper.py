@@ -55,12 +55,6 @@ def test_scores_agree_with_the_series(study: PaperStudy) -> None:
         assert row.whole.largest_m >= row.whole.rmse_m
 
 
-def test_more_processes_give_the_same_figures(study: PaperStudy) -> None:
-    again = run_paper_study(SHORT, Workers(2), quiet)
-
-    assert again.rows == study.rows
-
-
 def test_a_study_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
     options, told = replace(SHORT, fleet_seeds=0), []
     first = run_paper_study(options, Workers(), quiet, KeptResults(tmp_path))
