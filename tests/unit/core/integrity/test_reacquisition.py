@@ -17,7 +17,7 @@ from gcs_coloc.core.messages.control import GpsOverride, OperatorCommand, RouteR
 from gcs_coloc.core.messages.inbound import Autopilot, GlobalPosition, GpsReceiver, Heartbeat, Inbound, PeerRange, TimeBase
 from gcs_coloc.core.messages.outbound import GpsInput, HealthChanged, Notice
 
-BACK_S = 30.0
+BACK_S = 18.0
 COUNTED = "reacquired_fix_rejected"
 RIGHT = Scenario(mutual=False, returns_at_s=BACK_S)
 OFF = replace(RIGHT, return_jump_m=200.0)
@@ -104,8 +104,8 @@ def watch(messages: Callable[[float], Iterable[Inbound]], until_s: float, seen: 
     ids=["its own ranges", "ranges among all", "two peers", "a tenth of the ranges late"],
 )
 def test_a_receiver_that_comes_back_right_is_believed_after_ten_seconds_as_ever(scenario):
-    """Three draws of each; `python -m bench returning` flies hundreds."""
-    for seed in range(3):
+    """Two draws of each; `python -m bench returning` flies hundreds."""
+    for seed in range(2):
         seen = fly(scenario, seed, 12.0)
         assert seen.healthy_after_s == pytest.approx(RECOVERED_AFTER_S, abs=0.01)
         assert seen.engine.refused().get(COUNTED, 0) == 0
@@ -205,8 +205,7 @@ def test_ranges_that_are_all_too_long_do_not_keep_a_right_receiver_off():
         is_long = isinstance(message, PeerRange) and t > LOST_AT_S + 5.0
         return replace(message, range_m=message.range_m + 30.0) if is_long else message
 
-    for seed in range(3):
-        assert fly(RIGHT, seed, 12.0, too_long).healthy_after_s == pytest.approx(RECOVERED_AFTER_S, abs=0.01)
+    assert fly(RIGHT, 0, 12.0, too_long).healthy_after_s == pytest.approx(RECOVERED_AFTER_S, abs=0.01)
 
 
 def test_the_operator_is_believed_who_declares_it_healthy():
@@ -234,9 +233,9 @@ def test_a_reflected_estimate_gives_way_to_a_receiver_that_fits_the_ranges():
             DENIED: np.array((20.0 * t + 200.0, 150.0, 110.0)),
         }
         for sysid, place in priors.items():
-            mirrored = np.array((1.0, -1.0, 1.0)) if sysid == DENIED and t < 20.0 else np.ones(3)
+            mirrored = np.array((1.0, -1.0, 1.0)) if sysid == DENIED and t < 10.0 else np.ones(3)
             lat, lon, alt = origin.geodetic_from_enu(*(float(x) for x in mirrored * place + rng.normal(0.0, 0.5, 3)))
-            lost = sysid == DENIED and 20.0 < t <= BACK_S
+            lost = sysid == DENIED and 10.0 < t <= BACK_S
             yield GpsReceiver(sysid, t, 0, 1 if lost else 3, lat, lon, alt, 12, 0.9, 1.5, 1.5, 0.2, t)
             yield GlobalPosition(sysid, t, t, lat, lon, alt, 0.0, 20.0, 0.0)
         for peer in (1, 2):
