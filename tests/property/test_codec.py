@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -63,7 +64,7 @@ def assert_found_behind(garbage):
 
 
 def all_numbers_are_finite(message):
-    values = [getattr(message, name) for name in message.__slots__]
+    values = [getattr(message, field.name) for field in fields(message)]
     return all(math.isfinite(value) for value in values if isinstance(value, float))
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from command_line import gcs_coloc
-from recorded_flight import write_flight, write_truth
+from recorded_flight import EPOCH_S, write_flight, write_truth
 
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.measurements import (
@@ -47,7 +47,7 @@ def findings(flown, change: Callable[[TruthPoint], TruthPoint]) -> list[DataFind
 
 def test_a_replay_has_the_readiness_of_the_flight(flown):
     _, _, engine, _ = flown
-    readiness = [vehicle.readiness for vehicle in engine.snapshot(EPOCH_S + 40.0).vehicles if vehicle.sysid != 4]
+    readiness = [vehicle.readiness for vehicle in engine.snapshot(EPOCH_S + 25.0).vehicles if vehicle.sysid != 4]
     assert {found.reason for found in readiness} <= {"no_peer", "one_peer"}
     assert len(readiness) == 3
     assert MeasurementTap(Silent()).predict_loss is None

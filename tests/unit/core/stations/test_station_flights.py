@@ -86,9 +86,7 @@ def test_a_spoofed_vehicle_is_named_by_stations_alone():
         t = step / 10
         for message in telemetry(4, t):
             if hasattr(message, "lat_deg"):
-                message = type(message)(
-                    **{n: getattr(message, n) for n in message.__slots__} | {"lat_deg": message.lat_deg + 0.002}
-                )
+                message = replace(message, lat_deg=message.lat_deg + 0.002)
             engine.receive(message)
         if step % 2 == 0:
             for message in ranges(4, t, rng):
