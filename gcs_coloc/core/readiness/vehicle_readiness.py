@@ -70,7 +70,7 @@ class LimitingReason(WordedReason):
     ONE_PEER = "one_peer", "one peer ranged: {detail}"
     IN_LINE = "in_line", "peers {detail} in one line with it: HDOP {value:.0f}"
     AMBIGUOUS = "ambiguous", "a position on the other side of peers {detail} fits the ranges as well"
-    BEYOND_ALERT_LIMIT = "beyond_alert_limit", "protection level {value:.1f} m, beyond the alert limit of {limit:g} m"
+    BEYOND_ALERT_LIMIT = "beyond_alert_limit", "protection level {value:.0f} m, beyond the alert limit of {limit:g} m"
     NOT_TESTED = "not_tested", "the ranges cannot test the position of {detail}"
     NO_ESTIMATE = "no_estimate", "{detail}"
     NOT_AIDED = "not_aided", "it could not be aided: {detail}"
