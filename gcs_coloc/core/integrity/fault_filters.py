@@ -167,8 +167,12 @@ class FaultFilters:
         """Return the probability of each fault, by vehicle; None for the vehicle's own ranging device."""
         return list(zip([*self.peers, None], map(exp, self._log_probability[1:]), strict=True))
 
-    def hypotheses(self, now_s: float) -> list[FaultHypothesis]:
-        """Return all hypotheses with a fault; a growing fault is extrapolated from the last step to now."""
+    def hypotheses(self, now_s: float, known: Collection[int] = ()) -> list[FaultHypothesis]:
+        """Return all hypotheses with a fault; a growing fault is extrapolated from the last step to now.
+
+        Where ranges to a vehicle are `known` to be off, the filter without fault believes what the estimator may have refused.
+        There the displacement counts from the estimate.
+        """
         out = []
         (east, north), *means = self._means[:, :2].tolist()
         faults = self._means[1:, _SIZE:].tolist()
@@ -178,7 +182,9 @@ class FaultFilters:
         ):
             grown = rate_mps * (now_s - self.at_s) / size_m if size_m != 0.0 else 0.0
             ahead = min(max(1.0 + grown, 1.0), _MAX_EXTRAPOLATION)
-            e, n = (e - east) * ahead, (n - north) * ahead
+            if faulty not in known:
+                e, n = e - east, n - north
+            e, n = e * ahead, n * ahead
             ee, en, nn = positive_part(ee, en, nn)
             out.append(FaultHypothesis(faulty, probability, (ee + e * e, en + e * n, nn + n * n)))
         return out

@@ -17,7 +17,7 @@ import numpy as np
 
 from gcs_coloc.core.integrity.epoch_tests.epoch import COLOURED_SHARE, RANGE_BIAS_M, Epoch, PositionPrior
 from gcs_coloc.core.integrity.epoch_tests.noise_model import AS_STATED, NoiseModel
-from gcs_coloc.core.integrity.epoch_tests.pair_outliers import Pair
+from gcs_coloc.core.integrity.epoch_tests.pair_outliers import Pair, unordered
 from gcs_coloc.core.integrity.fault_filters import FaultFilters, LineOfSightResidual
 from gcs_coloc.core.measurements import FloatArray, RangeMeasurement, Vector3
 
@@ -62,6 +62,7 @@ class FaultMonitor:
     def __init__(self) -> None:
         self._filters: dict[int, FaultFilters] = {}
         self._ranges: dict[int, dict[int, _PeerRanges]] = {}
+        self._off: dict[int, frozenset[int]] = {}
 
     def add_range(self, m: RangeMeasurement, a: PositionPrior, b: PositionPrior) -> None:
         """Add a range with the priors of both ends at its time.
@@ -89,6 +90,7 @@ class FaultMonitor:
         be than they state. Of more than `_MAX_PEERS` peers those of the `tested` pairs come first: they locate the vehicle.
         """
         for vehicle, by_peer in self._ranges.items():
+            self._off[vehicle] = frozenset(peer for peer in by_peer if unordered((vehicle, peer)) in noise.pairs_off)
             filters = self._filters.setdefault(vehicle, FaultFilters())
             filters.exclude(excluded)
             staying = filters.staying(at_s)
@@ -106,6 +108,7 @@ class FaultMonitor:
                 filters.update({peer: self._residual(by_peer[peer], noise) for peer in included}, at_s)
         self._ranges = {}
         self._filters = {v: filters for v, filters in self._filters.items() if at_s - filters.at_s <= _FORGET_AFTER_S}
+        self._off = {v: peers for v, peers in self._off.items() if v in self._filters}
 
     def drop(self, vehicle: int) -> None:
         """Drop the filters of a vehicle that has gained or lost its prior."""
@@ -115,9 +118,10 @@ class FaultMonitor:
     def separation_m2(self, now_s: float) -> Mapping[int, FloatArray]:
         """Return the solution separation (2, 2) of each denied vehicle, m^2.
 
-        It is the second moment of the vehicle's displacement over all faults, each with its weight.
+        It is the second moment of the vehicle's displacement over all faults, each with its weight. Where a pair is off the
+        estimator may have refused its ranges: then they have displaced nothing, however long they are.
         """
-        return {vehicle: _separation_m2(filters, now_s) for vehicle, filters in self._redundant()}
+        return {vehicle: _separation_m2(filters, now_s, self._off.get(vehicle, ())) for vehicle, filters in self._redundant()}
 
     def detected(self) -> frozenset[int]:
         """Return the vehicles one of which is faulty; an empty set where no fault is detected.
@@ -173,10 +177,13 @@ def expected_separation_m2(epoch: Epoch, vehicle: int) -> FloatArray | None:
     return _separation_m2(filters, filters.at_s)
 
 
-def _separation_m2(filters: FaultFilters, now_s: float) -> FloatArray:
-    """Return the second moment (2, 2) of the displacement over all weighted faults, m^2."""
+def _separation_m2(filters: FaultFilters, now_s: float, off: Collection[int] = ()) -> FloatArray:
+    """Return the second moment (2, 2) of the displacement over all weighted faults, m^2.
+
+    `off` are the peers whose ranges are known to be off.
+    """
     sum_ee = sum_en = sum_nn = 0.0
-    for h in filters.hypotheses(now_s):
+    for h in filters.hypotheses(now_s, off):
         weight, (ee, en, nn) = min(h.probability / _FULL_WEIGHT_PROBABILITY, 1.0), h.separation_m2
         sum_ee, sum_en, sum_nn = sum_ee + weight * ee, sum_en + weight * en, sum_nn + weight * nn
     return np.array([[sum_ee, sum_en], [sum_en, sum_nn]])

@@ -37,7 +37,19 @@ class Flight:
             reversed_for,
         )
 
-    def fly(self, from_s, to_s, walk_mps=0.0, excluded=(), own_no_prior=True, device_m=0.0, noise=AS_STATED, tested=()):
+    def fly(
+        self,
+        from_s,
+        to_s,
+        walk_mps=0.0,
+        excluded=(),
+        own_no_prior=True,
+        device_m=0.0,
+        noise=AS_STATED,
+        tested=(),
+        detour_m=0.0,
+        own_m=0.0,
+    ):
         for step in range(round(from_s / STEP_S), round(to_s / STEP_S)):
             t = step * STEP_S
             for peer, a in self.around.items():
@@ -45,8 +57,8 @@ class Flight:
                 reported = place(
                     APART_M * cos(a) + drawn_off_m * cos(self.towards), APART_M * sin(a) + drawn_off_m * sin(self.towards)
                 )
-                range_m = APART_M + device_m + float(self.rng.standard_normal())
-                own = place(0.0, 0.0, no_prior=own_no_prior)
+                range_m = APART_M + device_m + (detour_m if peer == FAULTY else 0.0) + float(self.rng.standard_normal())
+                own = place(own_m * cos(self.towards), own_m * sin(self.towards), no_prior=own_no_prior)
                 ends = [(DENIED, own), (peer, reported)]
                 (i, at_i), (j, at_j) = reversed(ends) if peer in self.reversed_for else ends
                 self.monitor.add_range(RangeMeasurement(i, j, t, t, range_m, 1.0), at_i, at_j)
@@ -78,6 +90,15 @@ def test_an_excluded_peer_is_left_out_and_nobody_else_is_detected():
     t = flight.fly(30.0, 60.0, walk_mps=2.0, excluded={FAULTY})
     assert monitor.detected() == frozenset()
     assert float(np.trace(monitor.separation_m2(t)[DENIED])) < 2.0
+
+
+@pytest.mark.parametrize("own_m", [0.0, -20.0], ids=["refused", "followed"])
+def test_a_pair_that_is_off_counts_by_how_far_the_estimate_has_followed_it(own_m):
+    monitor, noise = FaultMonitor(), NoiseModel(pairs_off=frozenset({(FAULTY, DENIED)}))
+    flight = Flight(monitor, around={**AROUND, 5: 2.4, 6: 5.5})
+    t = flight.fly(0.0, 20.0, detour_m=50.0, own_m=own_m, noise=noise)
+    separation_m = np.sqrt(np.trace(monitor.separation_m2(t)[DENIED]))
+    assert separation_m == pytest.approx(abs(own_m), abs=3.0)
 
 
 def test_lasting_errors_that_are_known_displace_nobody_and_a_drift_beside_them_is_still_detected():
