@@ -16,6 +16,27 @@ from bench.free_ports import free_port
 pytestmark = pytest.mark.integration
 
 
+def test_why_no_vehicle_is_heard_is_told(tmp_path):
+    """A notice of the whole fleet; it is not said to be over, for its cause lasts."""
+    port, address = free_port(), f"127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+    (tmp_path / "key").write_text("5c" * 32)
+    (tmp_path / "key").chmod(0o600)
+    (tmp_path / "fleets.toml").write_text(
+        f'[service]\nprocesses = "per-fleet"\naddress = "{address}"\n[[fleet]]\nname = "north"\n'
+        f'links = ["udpin:127.0.0.1:{port}"]\n[fleet.signing]\nkey_file = "{tmp_path / "key"}"\nmode = "require"\n'
+    )
+    arguments = ["--config", str(tmp_path / "fleets.toml")]
+    with service(tmp_path / "log", *arguments), flying(port, set()), browser() as chromium:
+        page = Watched(chromium.new_page()).page
+        page.goto(f"http://{address}/")
+        north = page.get_by_role("region", name=re.compile("^Fleet north on "))
+        expect(north).to_contain_text("no vehicle heard yet")
+        expect(north.get_by_role("listitem").filter(has_text="unsigned")).to_have_text(
+            re.compile("^refused on the links: unsigned")
+        )
+        expect(north).not_to_contain_text("alarm over")
+
+
 def test_it_shows_each_fleet_leads_to_its_own_page_and_tells_of_one_that_died(tmp_path):
     ports = {name: free_port() for name in ("north", "south")}
     address = f"127.0.0.1:{free_port(socket.SOCK_STREAM)}"

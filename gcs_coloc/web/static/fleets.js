@@ -97,10 +97,14 @@ function showAlarms(node, fleet) {
   const said = new Set((fleet.overview?.vehicles ?? []).map((v) => `${v.sysid} ${v.reason}`));
   const alarms = fleet.overview?.alarms ?? [];
   const was = isLive(fleet) ? "" : "was: ";
-  const lines = alarms.filter(({ sysid, state, text }) => state !== "over" && !said.has(`${sysid} ${text}`))
-    .map(({ sysid, state, level, text }) => [level, `${was}${sysid === null ? "" : `vehicle ${sysid}: `}${prose(text)}${state === "active" ? "" : " (acknowledged)"}`]);
-  const over = alarms.filter(({ state }) => state === "over").length;
+  // A notice has no duration, and its cause may last: those of the whole fleet stand here, those of vehicles are counted.
+  const isShown = ({ kind, sysid, state, text }) => (kind === "notice" ? sysid === null : state !== "over" && !said.has(`${sysid} ${text}`));
+  const lines = alarms.filter(isShown)
+    .map(({ sysid, state, level, text }) => [level, `${was}${sysid === null ? "" : `vehicle ${sysid}: `}${prose(text)}${state === "acknowledged" ? " (acknowledged)" : ""}`]);
+  const over = alarms.filter(({ kind, state }) => kind !== "notice" && state === "over").length;
   if (over) lines.push(["", `${was}${plural(over, "alarm")} over and not acknowledged`]);
+  const notices = alarms.filter(({ kind, sysid }) => kind === "notice" && sysid !== null).length;
+  if (notices) lines.push(["", `${was}${plural(notices, "notice")} of vehicles not acknowledged`]);
   const content = JSON.stringify(lines);
   if (node.alarms.dataset.content === content) return;
   node.alarms.dataset.content = content;
