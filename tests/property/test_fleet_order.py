@@ -138,8 +138,8 @@ def test_after_two_hours_the_joint_covariance_is_symmetric_and_definite_to_round
     reduced by subtraction. The bound is a thousand times the rounding error of correlations of 90 states."""
     rng = np.random.default_rng(0)
     estimator = FleetFilter()
-    for k in range(3600):
-        t = 2.0 * k
+    for k in range(1800):
+        t = 4.0 * k
         if k == 5:
             estimator.set_denied({4, 5}, t)
         for v in range(1, 6):
@@ -154,7 +154,7 @@ def test_after_two_hours_the_joint_covariance_is_symmetric_and_definite_to_round
         for a, b in ((4, 1), (4, 2), (4, 3), (5, 1), (5, 2), (4, 5)):
             r = float(np.linalg.norm(circle(a, t) - circle(b, t))) + 0.05 * rng.normal()
             estimator.add(RangeMeasurement(a, b, t, t, r, 0.05, 0, a, 0.01, 0.1))
-        if k % 600 == 599:
+        if k % 300 == 299:
             joint = estimator._buffer.process().main.clusters[4].joint
             np.testing.assert_array_equal(joint.A, joint.A.T)
             # Sensitivities to unknown biases have no covariance among themselves.

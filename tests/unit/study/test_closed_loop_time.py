@@ -14,7 +14,7 @@ from gcs_coloc.study.closed_loop import ClosedLoop, Flight
 from sitl_fakes.scenario import SCENARIOS, load_scenario
 
 SCENARIO = SCENARIOS / "uwb.toml"
-LOST_S, SETTLED_S = 20.0, 30.0
+LOST_S, SETTLED_S, ENDS_S = 20.0, 30.0, 45.0
 
 
 def navigation_rms_m(flight: Flight) -> float:
@@ -27,16 +27,16 @@ def test_the_vehicle_is_told_where_it_is_when_it_hears_it(monkeypatch):
     loop = ClosedLoop(load_scenario(SCENARIO), 7, Engine(load_estimator("fleet", {})))
     loop.advance(LOST_S - 1.0)  # until then there is no aid that could be late
     unaware = deepcopy(loop)
-    loop.advance(55.0)
+    loop.advance(ENDS_S)
     engine, aware = loop.engine, loop.flight
     for sysid in engine.sysids():
         # The link takes 50 ms and up to 100 ms more; the fakes read what has arrived every 20 ms.
-        assert engine.clocks.boot_clock(sysid).one_way_delay_s(55.0) == pytest.approx(0.05 + 0.005, abs=0.01)
-        method, sigma_s = engine.clocks.boot_clock(sysid).quality(55.0)
+        assert engine.clocks.boot_clock(sysid).one_way_delay_s(ENDS_S) == pytest.approx(0.05 + 0.005, abs=0.01)
+        method, sigma_s = engine.clocks.boot_clock(sysid).quality(ENDS_S)
         assert method == "TIMESYNC"
         assert sigma_s < 0.01
     assert not [reason for reason in engine.refused() if reason.startswith("timesync")]
     monkeypatch.setattr(aid_stream, "_LONGEST_LEAD_S", 0.0)
-    unaware.advance(55.0)
+    unaware.advance(ENDS_S)
     # 50 ms of 100 ms mean delay at 22 m/s: 1.1 m of a systematic error that points backwards.
     assert navigation_rms_m(aware) < navigation_rms_m(unaware.flight) - 0.5
