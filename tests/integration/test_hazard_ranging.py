@@ -15,7 +15,7 @@ PEER = 1
 
 
 @pytest.mark.parametrize("peer", [None, PEER], ids=["all its ranges", "the ranges to one peer"])
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_a_biased_ranging_device_costs_the_fix_at_once_and_nobodys_gps_is_failed(peer, seed):
     bias = fault("range_bias", DENIED, FROM_S, bias_m=20.0, **({} if peer is None else {"peer": peer}))
     out = fly_through(LOST, bias, duration_s=FROM_S + 25.0, seed=seed)
@@ -26,10 +26,10 @@ def test_a_biased_ranging_device_costs_the_fix_at_once_and_nobodys_gps_is_failed
 
 
 @pytest.mark.parametrize("peer", [None, PEER], ids=["all its ranges", "the ranges to one peer"])
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_a_stuck_ranging_device_is_named_within_a_second_and_what_is_stated_stays_within_its_bound(peer, seed):
     stuck = fault("range_stuck", DENIED, FROM_S, **({} if peer is None else {"peer": peer}))
-    out = fly_through(LOST, stuck, duration_s=FROM_S + 35.0, seed=seed)
+    out = fly_through(LOST, stuck, duration_s=FROM_S + 20.0, seed=seed)
     assert out.distrusted(FROM_S) == set()
     assert out.worst_ratio(DENIED, FROM_S) < HONEST
     named = {
@@ -42,7 +42,7 @@ def test_a_stuck_ranging_device_is_named_within_a_second_and_what_is_stated_stay
 
 
 def test_lost_ranges_to_one_peer_are_done_without():
-    out = fly_through(LOST, fault("range_dropout", DENIED, FROM_S, peer=PEER), duration_s=FROM_S + 20.0)
+    out = fly_through(LOST, fault("range_dropout", DENIED, FROM_S, peer=PEER), duration_s=FROM_S + 15.0)
     assert out.distrusted(FROM_S) == set()
     assert out.worst_ratio(DENIED, FROM_S) < HONEST
 
