@@ -132,6 +132,10 @@ class FlightClass:
     """Whether peers range each other as well."""
     companion_wait_s: Span = (0.0, 0.0)
     """How long each range waits in a companion computer, whose clock it is stamped by; 0: by the autopilot's, at once."""
+    companion_set_back_s: Span = (0.0, 0.0)
+    """From some time on the clock of the denied vehicle's companion computer, which stamps its ranges, is set back by this."""
+    pair_detour_m: Span = (0.0, 0.0)
+    """By how much all ranges of one pair of the denied vehicle are too long."""
     silence_s: Span = (0.0, 0.0)
     """Length of two silences of all ranges."""
     # Links
@@ -238,6 +242,10 @@ _ALL = (
     _imperfect("copters-blocked", "pairs out of sight among copters", _COPTERS, range_noise=RangeNoise.BLOCKED),
     _imperfect("late-ranges", "ranges wait 0.2 to 0.9 s in companion computers with clocks of their own",
                companion_wait_s=(0.2, 0.9)),
+    _imperfect("set-back-clock", "ranges are stamped by companions' clocks; the denied vehicle's is set back by 0.2 to 0.45 s",
+               companion_set_back_s=(0.2, 0.45)),
+    _imperfect("pair-detour", "all ranges of one pair of the denied vehicle are 10 to 150 m too long",
+               pair_detour_m=(10.0, 150.0)),
     _imperfect("late-alike", "all links 0.2 to 0.6 s late, TIMESYNC not answered", delay_s=(0.2, 0.6), is_delay_alike=True,
                answers_timesync=False, has_utc=False),
     _imperfect("late-unequal", "links up to 0.5 s late, each its own, TIMESYNC not answered", delay_s=(0.02, 0.5),

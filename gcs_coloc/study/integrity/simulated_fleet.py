@@ -107,6 +107,7 @@ class SimulatedFleet:
         self.fault_at_s = inf
         self._device_fault_m = (0.0, 0.0)
         self._device = 0
+        self._set_back_s = 0.0
         self._draw_faults()
         self._silences = self._draw_silences()
         self.rebooted = tuple(self._draw_reboots())
@@ -170,6 +171,7 @@ class SimulatedFleet:
                     self._vehicles[sysid].flicker = draw_flicker(rng, self.lost_at_s, self.duration_s)
         self._device_fault_m = (uniform_sign(rng, drawn.device_step_m), uniform_sign(rng, drawn.device_ramp_mps))
         self._device = int(rng.choice((*self.denied, *self.peers)))
+        self._set_back_s = rng.uniform(*drawn.companion_set_back_s) if any(drawn.companion_set_back_s) else 0.0
         if drawn.pitot_fails:
             self._vehicles[self.denied[0]].pitot_failure = PitotFailure.draw(rng, self.fault_at_s)
         if drawn.height_jump_m[1] > 0.0:
@@ -196,11 +198,13 @@ class SimulatedFleet:
         spans = (drawn.range_bias_m, drawn.range_scale)
         devices = {sysid: [uniform_sign(rng, span) for span in spans] for sysid in self._vehicles}
         sysids = (*self.denied, *self.peers)
+        off = (self.denied[0], int(rng.choice(self.peers))) if any(drawn.pair_detour_m) else None
         for i, a in enumerate(sysids):
             for b in sysids[i + 1 :]:
                 if drawn.is_mutual or a in self.denied:
                     # The responder's part of a two-way range is half of the measuring device's.
                     bias_m, scale = (devices[a][k] + 0.5 * devices[b][k] for k in (0, 1))
+                    bias_m += rng.uniform(*drawn.pair_detour_m) if (a, b) == off else 0.0
                     pairs[a, b] = PairErrors(rng, drawn, sigma_m, bias_m, scale, self.duration_s)
         for station in self._stations_m:
             for a in self.denied:
@@ -283,7 +287,9 @@ class SimulatedFleet:
             step_m, ramp_mps = self._device_fault_m
             range_m = max(range_m + step_m + ramp_mps * (at_s - self.fault_at_s), 0.0)
         arrival_s, stamp_s, clock = vehicle.arrival_s(at_s), vehicle.link.boot_s(at_s), TimeBase.BOOT
-        if any(self.drawn.companion_wait_s):
+        if any(self.drawn.companion_wait_s) or self._set_back_s > 0.0:
             arrival_s += self._rng.uniform(*self.drawn.companion_wait_s)
             stamp_s, clock = UNIX_EPOCH_S + at_s - _COMPANION_BEHIND_S, TimeBase.UNIX
+            if vehicle.sysid in self.denied and at_s >= self.fault_at_s:
+                stamp_s -= self._set_back_s
         return [PeerRange(vehicle.sysid, arrival_s, pair[1], range_m, errors.sigma_m, stamp_s, clock, None, None, 0)]

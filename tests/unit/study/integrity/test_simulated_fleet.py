@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from itertools import pairwise
-from math import inf, radians
+from math import dist, inf, radians
 
 import numpy as np
 import pytest
@@ -13,6 +13,7 @@ from gcs_coloc.study.integrity.flight_classes import CLASSES, RangeNoise
 from gcs_coloc.study.integrity.motion import STEP_S, draw_trajectories, gauss_markov
 from gcs_coloc.study.integrity.sensor_errors import BarometerJump, PairErrors, PitotFailure, PitotFault
 from gcs_coloc.study.integrity.simulated_fleet import DENIED, SimulatedFleet
+from gcs_coloc.study.integrity.simulated_vehicle import UNIX_EPOCH_S
 
 MINUTE_S = 60.0
 
@@ -198,3 +199,26 @@ def test_what_is_sent_to_a_vehicle_without_radio_is_lost():
         fleet.deliver(GpsInput(DENIED, 1, 0, 0, 0, 3, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.0, 12), sent_s)
         later = messages(fleet, ends_s + 2.0)
         assert any(isinstance(m, GpsReceiver) and m.receiver == 1 and m.fix_type == 3 for m in later) == is_taken
+
+
+def test_only_the_denied_vehicles_companion_clock_is_set_back_and_after_the_loss():
+    fleet = SimulatedFleet(CLASSES["set-back-clock"], 1, 120.0)
+    least_s: dict[bool, float] = {}
+    for message in messages(fleet, fleet.fault_at_s + 5.0):
+        if isinstance(message, PeerRange):
+            is_set_back = message.sysid in fleet.denied and message.received_at_s > fleet.fault_at_s + 1.0
+            late_s = message.received_at_s - (message.measured_at_s - UNIX_EPOCH_S)
+            least_s[is_set_back] = min(least_s.get(is_set_back, inf), late_s)
+    assert fleet.fault_at_s > fleet.lost_at_s
+    assert 0.15 < least_s[True] - least_s[False] < 0.55
+
+
+def test_the_ranges_of_one_pair_of_the_denied_vehicle_are_too_long():
+    fleet = fleet_of("pair-detour", delay_s=(0.0, 0.0), jitter_s=(0.001, 0.001))
+    longer_m: dict[tuple[int, int], list[float]] = {}
+    for message in messages(fleet, 10.0):
+        if isinstance(message, PeerRange):
+            ends = [fleet.truth_m(sysid, message.received_at_s) for sysid in (message.sysid, message.peer)]
+            longer_m.setdefault((message.sysid, message.peer), []).append(message.range_m - dist(*ends))
+    off = {pair for pair, values in longer_m.items() if np.median(values) > 5.0}
+    assert [pair[0] for pair in off] == [DENIED]
