@@ -35,7 +35,7 @@ def test_a_lost_gps_is_failed_at_once_and_the_aircraft_flies_on_what_it_is_sent(
 
 
 def test_a_px4_that_loses_its_gps_flies_on_global_position_sensor():
-    out = fly_through(LOST, duration_s=40.0, autopilot="px4")
+    out = fly_through(LOST, duration_s=30.0, autopilot="px4")
     assert {s.truth.source for s in out.flight.samples[DENIED] if s.at_s > 20.0} == {"aux global position"}
     assert out.worst_belief_m(DENIED, 20.0) < 1.5 * SOUND_M
     assert not out.fix_types(DENIED, 0.0)
@@ -43,7 +43,7 @@ def test_a_px4_that_loses_its_gps_flies_on_global_position_sensor():
 
 def test_a_px4_that_has_never_had_gps_is_located_by_ranges_and_its_barometer_and_flies_on_that():
     """It reports no position of its own, so no height, until it is aided."""
-    out = fly_through(fault("gps_lost", at_s=0.0), duration_s=40.0, autopilot="px4")
+    out = fly_through(fault("gps_lost", at_s=0.0), duration_s=25.0, autopilot="px4")
     began = [s for s in out.flight.samples[DENIED] if s.at_s <= 1.0]
     assert {s.truth.source for s in began} == {"none"}
     flown = [s for s in out.flight.samples[DENIED] if s.at_s > 10.0]
@@ -84,7 +84,7 @@ def test_a_px4_goes_on_with_a_faulty_receiver_unless_it_is_switched_off(switch_p
 
 
 def test_a_frozen_receiver_is_failed_though_it_calls_itself_healthy():
-    out = fly_through(fault("gps_frozen", at_s=20.0), duration_s=45.0)
+    out = fly_through(fault("gps_frozen", at_s=20.0), duration_s=34.0)
     assert out.first(DENIED, "failed") < 26.0
     assert "position" in out.reason(DENIED, "failed")
     assert out.distrusted(0.0) == {DENIED}
@@ -173,7 +173,7 @@ def test_two_that_fail_at_once_are_both_located_from_three():
 @pytest.mark.parametrize(("speed_mps", "within_s"), [(0.5, 35.0), (2.0, 12.0), (10.0, 3.0)], ids=["0.5 m/s", "2 m/s", "10 m/s"])
 def test_a_denied_vehicle_drawn_off_is_found_by_the_ranges_and_not_believed_again_meanwhile(speed_mps, within_s):
     walked_off = fault("gps_spoofed", DENIED, FROM_S, speed_mps=speed_mps)
-    out = fly_through(walked_off, duration_s=FROM_S + within_s + 20.0, mutual=True)
+    out = fly_through(walked_off, duration_s=FROM_S + within_s + 12.0, mutual=True)
     found_s = out.first(DENIED, "suspect", "failed", after_s=FROM_S)
     assert found_s < FROM_S + within_s
     failed_s = out.first(DENIED, "failed", after_s=FROM_S)
