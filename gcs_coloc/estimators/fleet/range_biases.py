@@ -44,6 +44,10 @@ _LEAST_OBSERVED = 0.1
 """Chosen: a combination of biases counts as observed with a tenth of the information on the best observed one."""
 _GRID_M = [(device_m, pair_m) for device_m in _SIGMAS_M for pair_m in _SIGMAS_M]
 """Sigmas of the bias of a device and of that of each pair; the first is none."""
+_CHANGES = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)
+"""How large the errors of pairs may be, as multiples of what is presumed; chosen: up to 0.56 m, twice those among obstacles."""
+_CHANGE_LOG_RATIO = 3.0
+"""Chosen: odds of twenty; that errors are larger than presumed costs no more than a wider bound."""
 _NO_HEIGHT_M2 = 1e-9  # chosen: far below the variance of any range
 _MOST_PAIRS = 24
 """Chosen: bounds the cost; as three times the peers in use."""
@@ -120,7 +124,7 @@ class RangeBiases:
 
     `information` (k, k) and `vector` (k,) are of the pairs with `peers`, and of the vehicle's own height in the last place.
     `found`: what they are, under None that of a pair never ranged; None while there is no sign of any. `unknown`: what may be
-    there unfound, None before the first test.
+    there unfound, None before the first window. `evidence`: log-likelihood of how large the errors of pairs are (`_CHANGES`).
     """
 
     at_s: float = -math.inf
@@ -130,6 +134,7 @@ class RangeBiases:
     windows: int = 0
     found: Mapping[Ranged | None, PairBias] | None = None
     unknown: UnknownBias | None = None
+    evidence: FloatArray = field(default_factory=lambda: np.zeros(len(_CHANGES)))
 
     def bias(self, peer: Ranged | None) -> PairBias | None:
         """Return the lasting error of the pair with a peer, None while there is no sign of any."""
@@ -154,12 +159,49 @@ class RangeBiases:
         information, vector = kept * base.information, kept * base.vector
         information[np.ix_(index, index)] += M / _CORRELATED_WINDOWS
         vector[index] += y / _CORRELATED_WINDOWS
-        after = replace(base, at_s=window.at_s, information=information, vector=vector, windows=self.windows + 1)
-        if after.windows < _LEAST_WINDOWS or after.windows % _TEST_EVERY:
-            return after
         lasting_m2 = {name: float(u @ peers_m2[name] @ u) for name, u in zip(names, units, strict=True)}
+        evidence = kept * self.evidence
+        if presumed is not None:
+            told = self._evidence(added, lasting_m2, window.height_m2, least_m, presumed)
+            evidence = evidence + told / _CORRELATED_WINDOWS
+        after = replace(
+            base, at_s=window.at_s, information=information, vector=vector, windows=self.windows + 1, evidence=evidence
+        )
+        if presumed is not None:
+            presumed = presumed._replace(pair_m=after.change() * presumed.pair_m)
+        if after.windows < _LEAST_WINDOWS or after.windows % _TEST_EVERY:
+            if presumed is None or self.unknown is None:
+                return replace(after, unknown=presumed)
+            return replace(after, unknown=self.unknown._replace(pair_m=presumed.pair_m))
         observed = _observe(after, lasting_m2, window.height_m2, least_m)
         return replace(after, found=_find(after, observed, least_m, presumed), unknown=_not_ruled_out(observed, presumed))
+
+    def change(self) -> float:
+        """Return how large the errors of pairs were seen to be, eq. (45).
+
+        It is a multiple of what is presumed of them.
+        """
+        best = int(np.argmax(self.evidence))
+        return _CHANGES[best] if self.evidence[best] - self.evidence[0] > _CHANGE_LOG_RATIO else 1.0
+
+    def _evidence(
+        self,
+        window: _Information,
+        lasting_m2: Mapping[Ranged, float],
+        height_m2: float | None,
+        least_m: float,
+        presumed: UnknownBias,
+    ) -> FloatArray:
+        """Return the log-likelihood of each of `_CHANGES` in one window, eq. (45)."""
+        is_pair = np.array([1.0] * len(window.peers) + [0.0])
+        mean = np.array([*map(self._mean_m, window.peers), 0.0])
+        others = np.diag([*(lasting_m2[peer] + least_m**2 for peer in window.peers), height_m2 or _NO_HEIGHT_M2])
+        if self.found is None:
+            device_m = self.unknown.device_m if self.unknown is not None else presumed.device_m
+            others = others + device_m**2 * np.outer(is_pair, is_pair)
+        models = np.array([others + (change * presumed.pair_m) ** 2 * np.diag(is_pair) for change in _CHANGES])
+        likelihood, _, _ = _log_likelihood(window.M, window.y - window.M @ mean, models)
+        return likelihood
 
     def _mean_m(self, peer: Ranged) -> float:
         bias = self.bias(peer)
@@ -283,6 +325,19 @@ def _not_ruled_out(observed: _Observed, presumed: UnknownBias | None) -> Unknown
     return UnknownBias(math.sqrt(max(variance_m2, 0.0) + mean_m**2), presumed.pair_m)
 
 
+def _log_likelihood(M: FloatArray, y: FloatArray, models: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the log-likelihood (g,) of the covariances T (g, k, k) of biases, eq. (32).
+
+    With it come I + M T (g, k, k), and its inverse times y (g, k).
+    """
+    inner: FloatArray = np.eye(len(M)) + M @ models
+    whole: FloatArray = np.asarray(
+        np.linalg.solve(inner, np.broadcast_to(y[:, None], (len(models), len(M), 1)))[..., 0], dtype=np.float64
+    )
+    likelihood: FloatArray = 0.5 * np.einsum("i,gij,gj->g", y, models, whole) - 0.5 * np.linalg.slogdet(inner)[1]
+    return likelihood, inner, whole
+
+
 def _find(
     biases: RangeBiases, observed: _Observed, least_m: float, presumed: UnknownBias | None
 ) -> Mapping[Ranged | None, PairBias] | None:
@@ -291,9 +346,7 @@ def _find(
     k = len(is_pair) - 1
     common, single = np.outer(is_pair, is_pair), np.diag(is_pair)
     models = [others + device_m**2 * common + pair_m**2 * single for device_m, pair_m in _GRID_M]
-    inner = np.eye(k + 1) + M @ np.array(models)
-    whole = np.linalg.solve(inner, np.broadcast_to(y[:, None], (len(models), k + 1, 1)))[..., 0]
-    likelihood = 0.5 * np.einsum("i,gij,gj->g", y, models, whole) - 0.5 * np.linalg.slogdet(inner)[1]
+    likelihood, inner, whole = _log_likelihood(M, y, np.array(models))
     best = int(np.argmax(likelihood))
     if likelihood[best] - likelihood[0] < (_FOUND_LOG_RATIO if biases.found is None else _LOST_LOG_RATIO):
         return None

@@ -38,16 +38,21 @@ def observed(
     seconds: int,
     seed: int = 1,
     presumed: UnknownBias | None = None,
+    changing_m: float = 0.0,
 ) -> RangeBiases:
-    """What a tag's ranges tell of their biases, at 10 Hz each, linearised 0.3 m and 0.5 m/s beside the truth."""
+    """What a tag's ranges tell of their biases, at 10 Hz each, linearised 0.3 m and 0.5 m/s beside the truth.
+
+    Each pair errs by `changing_m` (1-sigma) more, the same throughout a second.
+    """
     rng = np.random.default_rng(seed)
     biases, P = RangeBiases(), np.diag([0.1, 0.1, 1e-4, 0.5, 0.5, 1e-4])
     for second in range(seconds):
         velocity = (tag_at(second + 0.05) - tag_at(second - 0.05)) / 0.1
         state = np.concatenate([tag_at(second) + OFF_M, velocity + OFF_MPS])
         window = BiasWindow(float(second), state, P, 1e-4, 4.0)
+        errors_m = biases_m if changing_m == 0.0 else biases_m + changing_m * rng.normal(size=len(anchors))
         for t in second + 0.1 * np.arange(10):
-            for i, (place, bias_m) in enumerate(zip(anchors, biases_m, strict=True)):
+            for i, (place, bias_m) in enumerate(zip(anchors, errors_m, strict=True)):
                 range_m = float(np.linalg.norm(tag_at(t) - place)) + bias_m + SIGMA_M * rng.normal()
                 window = window.with_sample(BiasSample(float(t), (i, 0), range_m, SIGMA_M, 0.03, place))
         biases = biases.with_window(window, {(i, 0): 1e-4 * np.eye(3) for i in range(len(anchors))}, 0.01, presumed)
@@ -80,6 +85,21 @@ def test_what_may_be_there_is_at_least_the_bias_that_is_there_but_not_yet_found(
     biases = observed(AROUND, [0.06] * 8, 8, presumed=UnknownBias(0.2, 0.07))
     assert biases.found is None
     assert biases.unknown.device_m > 0.04
+
+
+@pytest.mark.parametrize("device_m", [0.0, 0.2])
+@pytest.mark.parametrize("seed", range(3))
+def test_errors_of_pairs_that_change_by_more_than_presumed_are_counted(device_m, seed):
+    biases = observed(AROUND, [device_m] * 8, 40, seed, UnknownBias(0.2, 0.07), changing_m=0.2)
+    left_m = biases.unknown.pair_m if biases.found is None else biases.bias(None).sigma_m
+    assert 0.14 <= left_m <= 0.3
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_white_noise_and_errors_as_presumed_count_no_more(seed):
+    for changing_m in (0.0, 0.07):
+        biases = observed(AROUND, [0.0] * 8, 60, seed, UnknownBias(0.2, 0.07), changing_m)
+        assert biases.unknown.pair_m == 0.07
 
 
 def test_what_makes_pairs_differ_as_no_position_does_is_found_for_each_pair():
