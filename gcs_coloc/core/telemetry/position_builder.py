@@ -17,7 +17,7 @@ from gcs_coloc.core.messages.inbound import GlobalPosition, GpsReceiver
 from gcs_coloc.core.telemetry.measurement_settings import MeasurementSettings
 
 _SETTLES_S = 1.0
-"""ArduPlane's EKF3, switched back to its own receiver, jumped by 2.7 m and was 0.8 m off a second later
+"""ArduPlane's EKF3, switched back to its own receiver, jumped by 2.9 m and was back after 0.8 s
 (docs/results/real-autopilots.md)."""
 _OVER_S = 5.0 * _SETTLES_S
 _HELD_S = 5.0

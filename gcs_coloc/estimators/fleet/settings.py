@@ -79,7 +79,7 @@ class FleetSettings:
     """s. Correlation time of the turn rate. Chosen: a turn to a waypoint lasts some seconds."""
     coordinated_turn_density_m2ps3: float = between(0.3, 1e-6, 1e3)
     """m^2/s^3. Horizontal white acceleration beyond the turn that a fresh bank angle explains, until its level is learned.
-    Chosen: 0.5 m/s after a second, as a real plane in light gusts (docs/results/accuracy.md)."""
+    Chosen: 0.5 m/s after a second, as of light gusts."""
     noise_level_time_s: float = between(20.0, 0.1, 1e4)
     """s. In so long corrections of twice their predicted variance raise the learned noise level e-fold. Chosen: the level then
     scatters by 40 %, and halves or doubles within half a minute."""
@@ -118,12 +118,12 @@ class FleetSettings:
     minutes."""
     time_stamp_offset_sigma_s: float = between(0.02, 1e-6, 10.0)
     """s. Time-stamp offset of a vehicle's own reports, against those of its ranges. Chosen: one cycle of a 50 Hz loop;
-    recorded ArduPlanes have 0.03 s between positions and ranges (docs/results/accuracy.md)."""
+    recorded ArduPlanes have 0.03 s between positions and ranges."""
     time_stamp_offset_time_s: float = between(100.0, 0.01, 1e6)
     """s. Correlation time of that offset. Chosen: it lasts longer than a manoeuvre."""
     range_bias_sigma_m: float = between(0.01, 1e-6, 1e3)
-    """m. Bias of a ranging pair. Chosen: calibrated devices; more makes height and bias inseparable (see the
-    accuracy results)."""
+    """m. Bias of a ranging pair. Chosen: calibrated devices; more makes height and bias inseparable
+    (docs/results/accuracy.md)."""
     range_bias_time_s: float = between(300.0, 0.01, 1e6)
     """s. Correlation time of that bias. Chosen: it changes with temperature and antenna attitude."""
     unknown_device_bias_m: float = between(0.2, 0.0, 1e3)

@@ -1,6 +1,6 @@
 """The normal equations of an epoch's adjustments with several earlier ones, solved by Newton's method.
 
-The model is that of `adjustment`. One epoch is adjusted with several earlier ones at once: arrays are (tests, 2 epochs, ...).
+The model is that of `Adjustment`. One epoch is adjusted with several earlier ones at once: arrays are (tests, 2 epochs, ...).
 A residual that one of the epochs lacks has weight 0 in that test, and so has the whole earlier epoch of a test without one.
 """
 
