@@ -66,11 +66,10 @@ class LateCommands(TyperGroup):
         if cmd_name not in SUBCOMMANDS:
             return super().get_command(ctx, cmd_name)
         module = import_module(f"gcs_coloc.cli.{SUBCOMMANDS[cmd_name]}")
-        function = getattr(module, cmd_name.replace("-", "_"), None)
-        if function is None:
+        if hasattr(module, "app"):
             return typer.main.get_command(module.app)
         alone = typer.Typer(add_completion=False)
-        alone.command(cmd_name)(function)
+        alone.command(cmd_name)(getattr(module, cmd_name.replace("-", "_")))
         return typer.main.get_command(alone)
 
 
