@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
+from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -21,7 +22,7 @@ _PICTURES_SHOWN: dict[str | None, int] = {SHOWN: 1, BOTH_SHOWN: 2}
 _PAGES_AT_A_TIME = 8  # chosen: sending to them takes a millisecond
 
 
-class PageSource:
+class PageSource(ABC):
     """What pages are sent: the live service's fleet, a replay's at its position, or all fleets.
 
     A source overrides what it has; pages of this one have no events and no tracks.
@@ -54,9 +55,9 @@ class PageSource:
         """The last minutes of each vehicle."""
         return ()
 
+    @abstractmethod
     def messages(self, *, with_counts: bool) -> list[str]:
         """The latest picture as JSON messages, the `fleet` message and others; empty where there is none yet."""
-        raise NotImplementedError
 
 
 class Page:
