@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import ErrorDetails
 
 from gcs_coloc.core.errors import DataError, GcsColocError
 
+_QUOTE = "'"  # around the names in pydantic's errors
 _MOST_SHOWN = 60  # characters of a wrong value; chosen: the line stays one
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
@@ -19,7 +21,9 @@ Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 
 _WORDS = {
     "missing": "is missing",
-    "extra_forbidden": "is no key there",
+    "extra_forbidden": "unknown key; see the reference of this file for those there are",
+    "tuple_type": "should be a list; of tables it is written [[name]] in TOML",
+    "list_type": "should be a list; of tables it is written [[name]] in TOML",
     "model_type": "should be a table",
     "model_attributes_type": "should be a table",
 }
@@ -65,11 +69,20 @@ def checked(model: type[Checked], content: Mapping[str, Any] | str, where: str) 
         place = ""
         for part in found["loc"]:
             place += f" {part + 1}" if isinstance(part, int) else f": {part}"
-        kind, text = found["type"], found["msg"].removeprefix("Value error, ").removeprefix("Input ")
-        if kind in _WORDS:
-            raise DataError(f"{where}{place}: {_WORDS[kind]}") from None
-        told = "" if kind in ("json_invalid", "value_error") else f", not {_shown(found['input'])}"
-        raise DataError(f"{where}{place}: {text}{told}") from None
+        raise DataError(f"{where}{place}{_problem(found)}") from None
+
+
+def _problem(found: ErrorDetails) -> str:
+    """Return what is wrong at a place, in words."""
+    kind, text = found["type"], found["msg"].removeprefix("Value error, ").removeprefix("Input ")
+    if kind in _WORDS:
+        return f": {_WORDS[kind]}"
+    if kind.startswith("union_tag"):
+        about = found["ctx"]
+        text = f"should be one of {about['expected_tags']}, not {about['tag']!r}" if "tag" in about else "is missing"
+        return f": {about['discriminator'].strip(_QUOTE)}: {text}"
+    told = "" if kind in ("json_invalid", "value_error") else f", not {_shown(found['input'])}"
+    return f": {text}{told}"
 
 
 def _shown(value: object) -> str:

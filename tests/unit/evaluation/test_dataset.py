@@ -252,7 +252,7 @@ def test_a_station_is_an_anchor_that_ranges_name_by_its_id(tmp_path):
 @pytest.mark.parametrize(
     ("changed", "told"),
     [
-        ((STATION, "[station]\nid = 3\n"), "station: should be a valid tuple, not {'id': 3"),
+        ((STATION, "[station]\nid = 3\n"), "station: should be a list; of tables it is written [[name]] in TOML"),
         (("id = 3", 'id = "mast"'), "station 1: id: should be a valid integer, not 'mast'"),
         (("alt_m = 412.0", ""), "station 1: alt_m: is missing"),
         (
@@ -260,8 +260,10 @@ def test_a_station_is_an_anchor_that_ranges_name_by_its_id(tmp_path):
             "lat_deg: should be less than or equal to 90, not 147.0",
         ),
         (("sigma_m = 0.5", "sigma_m = 0"), "sigma_m: should be greater than 0, not 0"),
-        (('name = "mast"', "place = 1"), "station 1: place: is no key there"),
+        (('name = "mast"', "place = 1"), "station 1: place: unknown key; see the reference of this file"),
         (("[origin]\nlat_deg = 47.0\nlon_deg = 8\nalt_m = 400.0\n", ""), "needs [origin]"),
+        (('role = "peer"', ""), "node 3: role: is missing"),
+        (('role = "peer"', 'role = "boss"'), "node 3: role: should be one of 'denied', 'peer', 'subject', 'anchor', not 'boss'"),
     ],
 )
 def test_a_station_that_is_wrong_is_told_with_its_remedy(tmp_path, changed, told):

@@ -142,7 +142,7 @@ def test_a_malformed_file_is_told_with_file_place_and_what_was_expected(tmp_path
         ),
         (
             {"type": "Simple"},
-            "tag 'Simple' found using 'type' does not match any of the expected tags: 'SimpleItem', 'ComplexItem'",
+            "type: should be one of 'SimpleItem', 'ComplexItem', not 'Simple'",
         ),
         (item("16"), "command: should be a valid number, not '16'"),
         (item(16, "47"), "params 5: should be a valid number, not '47'"),
@@ -212,7 +212,7 @@ def scenario(tmp_path, more="", top="", vehicle=""):
 @pytest.mark.parametrize(
     ("top", "more", "said"),
     [
-        ("station = 5", "", "s.toml: station: should be a valid list, not 5"),
+        ("station = 5", "", "s.toml: station: should be a list; of tables it is written [[name]] in TOML"),
         ("station = [5]", "", "s.toml: station 1: should be a table"),
         ("", "[[station]]\nid = 70000", "s.toml: station 1: id: should be less than or equal to 65535, not 70000"),
         ("", "[[station]]\nid = -5", "s.toml: station 1: id: should be greater than or equal to 0, not -5"),
