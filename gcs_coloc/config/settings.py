@@ -178,18 +178,20 @@ def settings_of(tables: Sequence[Mapping[str, Any]], flags: Mapping[str, Any], s
     return settings
 
 
-def _booleans_read_as_numbers(table: Mapping[str, Any], found: Any, section: str = "") -> Iterator[tuple[str, bool]]:
-    """Yield the keys of a table that are true or false where the setting is no boolean.
+def _booleans_read_as_numbers(value: Any, found: Any, key: str = "") -> Iterator[tuple[str, bool]]:
+    """Yield what is true or false in the table, list or value of a key where the setting is no boolean.
 
     `found` are the settings made of it. To pydantic, as to Python, true is 1.
     """
-    for name, value in table.items():
-        key = f"{section}{name}"
-        of_settings = found.get(name) if isinstance(found, Mapping) else getattr(found, name, None)
-        if isinstance(value, Mapping):
-            yield from _booleans_read_as_numbers(value, of_settings, f"{key}.")
-        elif isinstance(value, bool) and not isinstance(of_settings, bool):
-            yield key, value
+    if isinstance(value, Mapping):
+        for name, each in value.items():
+            of_settings = found.get(name) if isinstance(found, Mapping) else getattr(found, name, None)
+            yield from _booleans_read_as_numbers(each, of_settings, f"{key}.{name}" if key else name)
+    elif isinstance(value, list):
+        for number, (each, of_settings) in enumerate(zip(value, found or (), strict=False)):
+            yield from _booleans_read_as_numbers(each, of_settings, f"{key}.{number}")
+    elif isinstance(value, bool) and not isinstance(found, bool):
+        yield key, value
 
 
 def _flag_problem(error: Any, flags: Mapping[str, Any]) -> tuple[str, str] | None:

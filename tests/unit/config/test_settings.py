@@ -88,6 +88,8 @@ def test_flags_win_over_the_environment_which_wins_over_the_file(tmp_path, monke
         ("[station]\nid = 3", "station: must be a table in double brackets, [[station]]"),
         ("[aiding]\nrate_hz = true", "aiding.rate_hz: must be a number, not true"),
         ("[mavlink]\nsystem_id = true", "mavlink.system_id: must be a number, not true"),
+        ("[fleet]\nfailed = [4, true]", "fleet.failed.1: must be a number, not true"),
+        ("[[station]]\nid = 3\nlat_deg = 47\nlon_deg = 8\nalt_m = true", "station.0.alt_m: must be a number, not true"),
         ("[measurements.range_bias_m]\n4 = false", "measurements.range_bias_m.4: must be a number, not false"),
         ("links = [", "is not valid TOML"),
         (f"[mqtt]\nport = {'9' * 5000}", "is not valid TOML: a number is too long"),
