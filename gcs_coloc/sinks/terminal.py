@@ -170,10 +170,7 @@ def _reason(v: VehicleSnapshot) -> str | None:
     if v.gps_state == GpsState.HEALTHY.value and v.inhibit_reason is None:
         found = v.readiness
         return f"{called(v)}: would be lost without GPS: {found.text}" if found is not None and found.is_lost else None
-    position = f", HDOP {number(v.hdop)}"
-    if v.lat_deg is None:
-        is_said = v.no_estimate_reason is not None and v.no_estimate_reason in v.aiding
-        position = ", position unknown" + ("" if is_said else f": {v.no_estimate_reason}")
+    position = f", position unknown: {v.no_estimate_reason}" if v.lat_deg is None else f", HDOP {number(v.hdop)}"
     inhibited = f", aiding inhibited: {v.inhibit_reason}" if v.inhibit_reason is not None else ""
     return f"{called(v)}: {v.gps_reason}{position}, {v.aiding}{inhibited}"
 

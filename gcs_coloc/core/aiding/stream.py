@@ -204,10 +204,14 @@ class AidingStream:
         return override is PrimaryOverride.OURS or (is_automatic and is_lost)
 
     def status(self) -> str:
-        """Return what is sent in a few words, for the operator."""
+        """Return what is sent in a few words, for the operator.
+
+        Why there is no estimate is told where the position would be.
+        """
         lead = "sending" if self._purpose is Purpose.AID else f"{self._purpose.value}: sending"
         if self.inhibit is not None:
-            return f"{lead} {self.method.without_fix()}: {self.inhibit.text}"
+            reason = "" if self.inhibit.reason is InhibitReason.NO_ESTIMATE else f": {self.inhibit.text}"
+            return f"{lead} {self.method.without_fix()}{reason}"
         fault = self.acknowledgement.fault if self.acknowledgement is not None else None
         predicted = " on prediction, its ranges have ceased" if self._is_predicting else ""
         return f"{lead} {self.method.with_fix()}{predicted}" + (f", NOT TAKEN: {fault}" if fault is not None else "")

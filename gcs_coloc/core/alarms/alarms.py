@@ -135,9 +135,8 @@ def traffic_light(v: VehicleSnapshot, loop_lag_s: float) -> tuple[LightColour, s
 
 def _gps_condition(v: VehicleSnapshot) -> Condition | None:
     if v.gps_state in ("failed", "recovering"):
-        located = f"within {v.bound_95_m:.0f} m (95 %)" if v.bound_95_m is not None else "nowhere"
-        if v.bound_95_m is None and v.no_estimate_reason is not None and v.no_estimate_reason not in v.aiding:  # said once
-            located += f": {v.no_estimate_reason}"
+        why = f": {v.no_estimate_reason}" if v.no_estimate_reason is not None else ""
+        located = f"within {v.bound_95_m:.0f} m (95 %)" if v.bound_95_m is not None else f"nowhere{why}"
         if v.hpl_m is not None:
             located += f", protection level {v.hpl_m:.0f} m"
             if v.untested:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from engine_flights import ALT, LAT, LON, M_APART_NORTH, StraightLine, aids, fly, settings, telemetry, texts
+from engine_flights import ALT, LAT, LON, M_APART_NORTH, StraightLine, aids, fly, settings, telemetry, texts, vehicle_4
 
 from gcs_coloc.core.aiding.settings import AidingSettings
+from gcs_coloc.core.alarms.alarms import traffic_light
 from gcs_coloc.core.clocks.utc import TABLE_GOOD_UNTIL, gps_week_and_ms
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.measurements import (
@@ -200,6 +201,16 @@ def test_a_vehicle_that_cannot_be_reached_or_takes_no_gps_input_gets_nothing_and
     assert [o.fix_type for o in last] == [1]
     assert not [o for o in engine.poll(7.5) if isinstance(o, GpsInput)]
     assert words in next(v.aiding for v in engine.snapshot(7.5).vehicles if v.sysid == 4)
+
+
+def test_why_there_is_no_position_is_told_once_in_the_reason_of_a_vehicle():
+    estimator = StraightLine()
+    engine = Engine(estimator, settings())
+    fly(engine, 0.0, 5.0)
+    estimator.unknown = "the peers are asleep"
+    fly(engine, 5.0, 10.0, failed=[4])
+    _, reason = traffic_light(vehicle_4(engine, 10.0), 0.0)
+    assert reason.endswith("Located nowhere: the peers are asleep; sending no fix")
 
 
 def test_at_a_shared_address_commands_that_their_target_alone_heeds_go_on():

@@ -103,11 +103,6 @@ def test_the_widest_line_fits_eighty_columns_uncut():
     assert len(lines[0]) <= 80
 
 
-def test_the_reason_why_there_is_no_position_is_said_once():
-    text = rendered(fleet_of(replace(LOST, aiding="sending no fix: no ranges for 6 s")), width=120)
-    assert "5: silence, position unknown, sending no fix: no ranges for 6 s" in text
-
-
 HEALTHY = replace(LOCATED, gps_state="healthy", gps_reason="fix type 3", aiding="off")
 
 

@@ -29,7 +29,7 @@ from gcs_coloc.web.picture import ellipse, fleet_frame
         (LOCATED, "caution", "Located within 7 m (95 %); sending 3D fix"),
         (replace(LOCATED, gps_state="recovering"), "caution", "GPS recovering"),
         (replace(LOCATED, aiding_has_fix=False, aiding="NOT SENT: one address"), "bad", "NOT SENT: one address"),
-        (LOST, "bad", "Located nowhere; sending no fix: no ranges for 12 s"),
+        (LOST, "bad", "Located nowhere: no ranges for 12 s; sending no fix"),
         (replace(HEALTHY, age_s=3.1), "bad", "not heard for 3 s"),
         (replace(LOCATED, age_s=9.0), "bad", "not heard for 9 s"),
     ],

@@ -38,13 +38,6 @@ def test_an_alarm_is_active_then_over_then_closed_by_who_acknowledges_it():
     assert alarms.acknowledge(raised.id, 9.0) == []
 
 
-def test_the_reason_why_there_is_no_position_is_said_once():
-    [alarm] = after(AlarmList(), replace(LOST, no_estimate_reason="no range", aiding="sending no fix: no range"))
-    assert "Located nowhere; sending no fix: no range" in alarm.text
-    [alarm] = after(AlarmList(), replace(LOST, no_estimate_reason="no range", aiding="off"))
-    assert "Located nowhere: no range; off" in alarm.text
-
-
 def test_an_alarm_that_is_acknowledged_while_it_lasts_stays_until_it_is_over():
     alarms = AlarmList()
     after(alarms, LOCATED)
