@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
+from gcs_coloc.core.deadlines import advance
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.errors import UsageError
@@ -145,8 +146,8 @@ def _fly(name: str, seed: int) -> Loss | None:
     at_s = 0.0
     while at_s < fleet.lost_at_s + HORIZON_S:
         at_s, message = fleet.pop()
-        while (due_s := engine.next_deadline()) < at_s:
-            for output in engine.poll(max(due_s, 0.0)):
+        for due_s, outputs in advance(engine, at_s, held_up_until_s=0.0):
+            for output in outputs:
                 fleet.deliver(output, due_s)
         if at_s < fleet.lost_at_s:
             told = engine.readiness(vehicle)

@@ -72,7 +72,7 @@ class Fault:
     """A false offset of one receiver from `at_s` on.
 
     The offset is `step_m` at once and grows by `ramp_mps`, in the direction `away`. The autopilot's filter follows it after
-    `followed_after_s` and reports a glitch until then.
+    `followed_after_s` and reports a glitch until then. `moves_doppler`: the receiver's own velocity is that of the false track.
     """
 
     at_s: float
@@ -80,11 +80,16 @@ class Fault:
     ramp_mps: float
     away: Vector3
     followed_after_s: float = 0.0
+    moves_doppler: bool = False
 
     def offset_m(self, at_s: float) -> Vector3:
         """Return the offset at a time, m."""
         passed_s = at_s - self.at_s
         return scaled(self.step_m + self.ramp_mps * passed_s, self.away) if passed_s >= 0.0 else (0.0, 0.0, 0.0)
+
+    def doppler_mps(self, at_s: float) -> Vector3:
+        """Return the error of the receiver's own velocity at a time, m/s."""
+        return scaled(self.ramp_mps if self.moves_doppler and at_s >= self.at_s else 0.0, self.away)
 
 
 class PitotFault(Enum):

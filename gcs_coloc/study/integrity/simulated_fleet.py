@@ -159,11 +159,12 @@ class SimulatedFleet:
                 self.fault_at_s = self.lost_at_s
             away, step_m, ramp_mps = direction(rng), rng.uniform(*spoofing.step_m), rng.uniform(*spoofing.ramp_mps)
             followed_s = _FOLLOWED_AFTER_S if step_m > 0.0 and rng.random() < 0.5 else 0.0
+            moves_doppler = bool(rng.random() < 0.5)
             whose = self.denied[:1] if spoofing.own else rng.permutation(self.peers)[: spoofing.receivers].tolist()
             for sysid in whose:
                 if not spoofing.is_alike:
                     away = direction(rng)
-                self._vehicles[sysid].fault = Fault(self.fault_at_s, step_m, ramp_mps, away, followed_s)
+                self._vehicles[sysid].fault = Fault(self.fault_at_s, step_m, ramp_mps, away, followed_s, moves_doppler)
         if spoofing is None or not spoofing.own:
             for sysid in self.denied:
                 self._vehicles[sysid].lost_at_s = self.lost_at_s

@@ -28,8 +28,10 @@ from gcs_coloc.study.integrity.sensor_errors import BarometerJump, Fault, LinkEr
 from sitl_fakes.geodesy import WorldFrame
 
 UNIX_EPOCH_S = 1_780_000_000.0  # any; in 2026
-_AID_AGE_S = 0.2
+_AID_AGE_S = 0.1
 """Age that a vehicle takes a fix of ours to have: the default of `aiding.lag_s`."""
+_DOPPLER_MPS, _DOPPLER_STATED_MPS = 0.1, 0.3
+"""Error of a receiver's own velocity, and what it states for it; source: data sheets of receivers, 0.05 to 0.1 m/s."""
 _AID_FRESH_S = 1.0  # chosen: ten messages of 10 Hz
 _FLIES_ON_S = 10.0
 """For so long an EKF without position calls itself absolute. Source: EKF3 with airspeed; copters less."""
@@ -113,13 +115,22 @@ class SimulatedVehicle:
             noise_m = scaled(errors.white_m, self._white())
             place = _plus(_plus(self.course.position(at_s), errors.slow_m(at_s)), noise_m)
             lla = self.frame.to_lla(*_plus(place, self.false_m(at_s)))
-            own = GpsReceiver(sysid, arrival_s, 0, 3, *lla, 14, 0.8, stated_m, vertical_m, 0.3, boot_s)
+            own = GpsReceiver(
+                *(sysid, arrival_s, 0, 3, *lla, 14, 0.8, stated_m, vertical_m, _DOPPLER_STATED_MPS, boot_s),
+                velocity_ne_mps=self._doppler_ne_mps(at_s),
+            )
         else:
             own = GpsReceiver(sysid, arrival_s, 0, 1, 0.0, 0.0, 0.0, 2, None, stated_m, vertical_m, 0.3, boot_s)
         aid = self.aid
         if aid is None or at_s - aid[0] >= _AID_FRESH_S:
             return [own]
         return [own, GpsReceiver(sysid, arrival_s, 1, 3, *self.frame.to_lla(*aid[1]), 10, 1.0, 1.0, 1.0, 0.5, boot_s)]
+
+    def _doppler_ne_mps(self, at_s: float) -> tuple[float, float]:
+        false_mps = self.fault.doppler_mps(at_s) if self.fault is not None else _NOWHERE
+        noise_mps = scaled(_DOPPLER_MPS, self._white())
+        east_mps, north_mps, _ = _plus(_plus(self.course.velocity(at_s), false_mps), noise_mps)
+        return north_mps, east_mps
 
     def position_messages(self, at_s: float) -> list[Inbound]:
         """Build the position that its autopilot reports.

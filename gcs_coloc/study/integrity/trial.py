@@ -10,6 +10,7 @@ from math import hypot, inf
 from pathlib import Path
 
 from gcs_coloc.core.aiding.settings import AidingSettings
+from gcs_coloc.core.deadlines import advance
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.gps_health.gps_health import DISTRUSTED, GpsState
@@ -26,8 +27,7 @@ TIME_TO_ALERT_S = 6.0
 """A fix that is wrong for no longer counts as alerted. Source: time to alert of an approach with vertical guidance (ICAO)."""
 SAMPLE_S = 0.2
 """Every vehicle is sampled so often. Chosen: as often as the fleet is reviewed."""
-_AGE_S = 0.2
-"""Age of the estimate that is judged: that of the fix which is sent by default (`aiding.lag_s`)."""
+_DEFAULTS = AidingSettings()
 _FIX_LASTS_S = 0.35
 """A fix counts as stated for so long after its message: three periods and a half at 10 Hz."""
 _SAME_EVENT_S = 10.0
@@ -152,7 +152,6 @@ class _Trial:
     ) -> None:
         self._fleet, self._score, self._trace = fleet, score, trace
         self._engine = Engine(load_estimator(estimator, {}), settings)
-        self._alert_limit_m = AidingSettings().alert_limit_m
         self._fix_at_s: dict[int, float] = {}
         self._failed: set[int] = set()
         self._distrusted_at_s: dict[int, float] = {}
@@ -183,10 +182,8 @@ class _Trial:
         return self._score
 
     def _poll(self, until_s: float) -> None:
-        engine = self._engine
-        while (due_s := engine.next_deadline()) <= until_s:
-            at_s = max(due_s, 0.0)
-            for output in engine.poll(at_s):
+        for at_s, outputs in advance(self._engine, until_s, held_up_until_s=0.0):
+            for output in outputs:
                 if isinstance(output, GpsInput):
                     self._fix_at_s[output.sysid] = at_s if output.fix_type >= 3 else -inf
                 self._fleet.deliver(output, at_s)
@@ -221,10 +218,11 @@ class _Trial:
         score.under_aid_s += SAMPLE_S * is_denied
         if not has_fix and self._trace is None:
             return  # an estimate costs more than all else of a sample
-        where = self._engine.estimate(sysid, at_s - _AGE_S)
+        sent_s = at_s - _DEFAULTS.lag_s  # the time of the fix that is sent now
+        where = self._engine.estimate(sysid, sent_s)
         error_m, bound_m, hpl_m = None, None, None
         if isinstance(where, Estimate) and self._engine.frame is not None:
-            error_m, bound_m = self._error_m(sysid, where, at_s - _AGE_S), horizontal_bound_95_m(where.covariance)
+            error_m, bound_m = self._error_m(sysid, where, sent_s), horizontal_bound_95_m(where.covariance)
             hpl_m = where.protection.horizontal_m if where.protection is not None else None
         if self._trace is not None:
             inhibit, reason = str(self._engine.decision(sysid).inhibit or ""), self._engine.gps_health.reason(sysid)
@@ -241,7 +239,7 @@ class _Trial:
         wrong = {
             EventKind.BEYOND_BOUNDS: error_m > _FAR_BEYOND * bound_m,
             EventKind.BEYOND_HPL: hpl_m is not None and error_m > hpl_m,
-            EventKind.BEYOND_ALERT_LIMIT: error_m > self._alert_limit_m,
+            EventKind.BEYOND_ALERT_LIMIT: error_m > _DEFAULTS.alert_limit_m,
         }
         for kind, happens in wrong.items():
             if happens:

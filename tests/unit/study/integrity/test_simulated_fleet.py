@@ -222,3 +222,22 @@ def test_the_ranges_of_one_pair_of_the_denied_vehicle_are_too_long():
             longer_m.setdefault((message.sysid, message.peer), []).append(message.range_m - dist(*ends))
     off = {pair for pair, values in longer_m.items() if np.median(values) > 5.0}
     assert [pair[0] for pair in off] == [DENIED]
+
+
+def test_doppler_velocity_is_that_of_the_course_or_of_the_false_track():
+    def drift_mps(fleet):
+        """What the fixes of the spoofed receiver move by other than its velocity, in ten seconds of the fault."""
+        (sysid,) = fleet.spoofed()
+        fixes = [m for m in messages(fleet, fleet.fault_at_s + 12.0) if isinstance(m, GpsReceiver) and m.sysid == sysid]
+        fixes = [m for m in fixes if m.received_at_s > fleet.fault_at_s + 2.0 and m.receiver == 0]
+        places = [fleet.frame.to_enu(m.lat_deg, m.lon_deg, m.alt_msl_m) for m in fixes]
+        moved = [0.0, 0.0]
+        for last, fix in pairwise(fixes):
+            for axis, mps in enumerate(reversed(fix.velocity_ne_mps)):
+                moved[axis] += mps * (fix.fixed_boot_s - last.fixed_boot_s)
+        passed_s = fixes[-1].fixed_boot_s - fixes[0].fixed_boot_s
+        return dist(moved, [places[-1][axis] - places[0][axis] for axis in (0, 1)]) / passed_s
+
+    spoofing = replace(CLASSES["spoofed-ramp"].spoofing, ramp_mps=(4.0, 4.0))
+    drifts = [drift_mps(fleet_of("spoofed-ramp", seed, 120.0, spoofing=spoofing)) for seed in range(8)]
+    assert {round(drift / 4.0) for drift in drifts} == {0, 1}
