@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from math import exp, hypot, log, pi, sqrt
+from math import exp, hypot, inf, log, pi, sqrt
 
 import numpy as np
 
@@ -93,18 +93,22 @@ class FaultHypothesis:
     separation_m2: tuple[float, float, float]
 
 
-class FaultFilters:
-    """The fault filters of one denied vehicle.
+@dataclass(slots=True)
+class _Peer:
+    """What the filters know of one peer beside their states; `noise` inflates its measurement noise."""
 
-    Their order is: nobody faulty, each of `peers`, the vehicle's own device.
-    """
+    updated_s: float
+    position_sigma_m: float
+    noise: float = 1.0
+
+
+class FaultFilters:
+    """The fault filters of one denied vehicle. Order: nobody faulty, each of `peers`, its own device."""
 
     def __init__(self) -> None:
         self.at_s = float("-inf")
         self.peers: list[int] = []
-        self._position_sigma_m: dict[int, float] = {}
-        self._noise: dict[int, float] = {}
-        self._updated_s: dict[int, float] = {}
+        self._known: dict[int, _Peer] = {}
         self._clear(0)
 
     def _clear(self, peers: int) -> None:
@@ -126,7 +130,8 @@ class FaultFilters:
     def update(self, residuals: Mapping[int, LineOfSightResidual], at_s: float) -> None:
         """Update with the residuals of one step, by peer. Times increase from call to call."""
         for peer, residual in residuals.items():
-            self._updated_s[peer], self._position_sigma_m[peer] = at_s, residual.position_sigma_m
+            known = self._known.setdefault(peer, _Peer(at_s, 0.0))
+            known.updated_s, known.position_sigma_m = at_s, residual.position_sigma_m
         peers = sorted(self.staying(at_s))
         if peers != self.peers:
             self._regroup(peers)
@@ -135,21 +140,21 @@ class FaultFilters:
         self._predict(step_s)
         self._mix(step_s)
         H, z = self._design(residuals), [residual.residual_m for residual in residuals.values()]
-        r = [residual.noise_m**2 * max(self._noise.setdefault(peer, 1.0), 1.0) for peer, residual in residuals.items()]
+        r = [residual.noise_m**2 * max(self._known[peer].noise, 1.0) for peer, residual in residuals.items()]
         self._reset_diverged(H, z, r)
         gain = 1.0 - exp(-step_s / _NOISE_TIME_S)
         for k, peer in enumerate(residuals):
-            self._noise[peer] *= 1.0 - gain + gain * self._correct(H[:, k], z[k], r[k])
+            self._known[peer].noise *= 1.0 - gain + gain * self._correct(H[:, k], z[k], r[k])
         self._log_probability = _normalise(self._log_probability)
 
     def staying(self, at_s: float) -> list[int]:
         """Return the peers whose ranges are recent enough that they stay in the filters at a time."""
-        return [p for p, updated_s in self._updated_s.items() if at_s - updated_s <= _MAX_STEP_S]
+        return [p for p, known in self._known.items() if at_s - known.updated_s <= _MAX_STEP_S]
 
     def retain(self, peers: Collection[int]) -> None:
         """Let all other peers leave the filters with the next update."""
-        for peer in self._updated_s.keys() - set(peers):
-            del self._updated_s[peer]
+        for peer in self._known.keys() - set(peers):
+            self._known[peer].updated_s = -inf
 
     def exclude(self, excluded: Collection[int]) -> None:
         """Remove excluded peers, and continue from the filter of the likeliest of them."""
@@ -193,9 +198,7 @@ class FaultFilters:
         """Change the peers; of those that remain states and probabilities are kept, of others nothing."""
         old, x, P, log_probability = self.peers, self._means, self._covariances, self._log_probability
         self.peers = peers
-        for of_peer in (self._updated_s, self._position_sigma_m, self._noise):
-            for p in of_peer.keys() - peers:
-                del of_peer[p]
+        self._known = {p: known for p, known in self._known.items() if p in peers}
         self._clear(len(peers))
         stay = [p for p in peers if p in old]
         models = [[0, *(1 + group.index(p) for p in stay), len(group) + 1] for group in (peers, old)]
@@ -206,7 +209,7 @@ class FaultFilters:
             self._log_probability[model] = log_probability[was]
         for k, p in enumerate(peers):
             if p not in old:
-                self._covariances[:, 2 + k, 2 + k] = self._position_sigma_m[p] ** 2
+                self._covariances[:, 2 + k, 2 + k] = self._known[p].position_sigma_m ** 2
                 self._A[1 + k] = self._A[0]
         self._log_probability = _normalise(self._log_probability)
 
@@ -219,8 +222,9 @@ class FaultFilters:
         A[:, :, _SIZE] += step_s * A[:, :, _RATE]
         A[:, _SIZE] += step_s * A[:, _RATE]
         displacement_m2, fresh = _DISPLACEMENT_DENSITY_M2PS * step_s, 1.0 - correlation * correlation
+        errors_m2 = [self._known[p].position_sigma_m ** 2 * fresh for p in self.peers]
         variances = A.reshape(models, -1)[:, size :: size + 1]
-        variances += [displacement_m2, displacement_m2, *[self._position_sigma_m[p] ** 2 * fresh for p in self.peers], 0.0, 0.0]
+        variances += [displacement_m2, displacement_m2, *errors_m2, 0.0, 0.0]
         variances[1:, _RATE] += _RATE_DENSITY_M2PS3 * step_s
 
     def _mix(self, step_s: float) -> None:

@@ -9,7 +9,7 @@ hypotheses.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import hypot, sqrt
 from statistics import median
 
@@ -53,6 +53,15 @@ class _PeerRanges:
     baseline_m: Vector3
 
 
+@dataclass(slots=True)
+class _DeniedVehicle:
+    """One denied vehicle: its filters, its ranges by peer since the last step, the peers that are off."""
+
+    filters: FaultFilters = field(default_factory=FaultFilters)
+    ranges: dict[int, _PeerRanges] = field(default_factory=dict)
+    off: frozenset[int] = frozenset()
+
+
 class FaultMonitor:
     """The fault monitor of one fleet: fault filters for each denied vehicle.
 
@@ -60,9 +69,7 @@ class FaultMonitor:
     """
 
     def __init__(self) -> None:
-        self._filters: dict[int, FaultFilters] = {}
-        self._ranges: dict[int, dict[int, _PeerRanges]] = {}
-        self._off: dict[int, frozenset[int]] = {}
+        self._denied: dict[int, _DeniedVehicle] = {}
 
     def add_range(self, m: RangeMeasurement, a: PositionPrior, b: PositionPrior) -> None:
         """Add a range with the priors of both ends at its time.
@@ -77,7 +84,7 @@ class FaultMonitor:
         distance_m = hypot(*baseline_m)
         if distance_m < _MIN_DISTANCE_M:
             return
-        by_peer = self._ranges.setdefault(vehicle, {})
+        by_peer = self._denied.setdefault(vehicle, _DeniedVehicle()).ranges
         ranges = by_peer.setdefault(peer, _PeerRanges([], [], prior, own.sigma_v_m, baseline_m))
         ranges.residuals_m.append(m.range_m - distance_m)
         ranges.sigmas_m.append(m.sigma_m)
@@ -89,9 +96,12 @@ class FaultMonitor:
         A vehicle without ranges for `_FORGET_AFTER_S` is dropped. `noise` is how much worse ranges and positions were found to
         be than they state. Of more than `_MAX_PEERS` peers those of the `tested` pairs come first: they locate the vehicle.
         """
-        for vehicle, by_peer in self._ranges.items():
-            self._off[vehicle] = frozenset(peer for peer in by_peer if unordered((vehicle, peer)) in noise.pairs_off)
-            filters = self._filters.setdefault(vehicle, FaultFilters())
+        for vehicle, denied in self._denied.items():
+            by_peer, filters = denied.ranges, denied.filters
+            if not by_peer:
+                continue
+            denied.ranges = {}
+            denied.off = frozenset(peer for peer in by_peer if unordered((vehicle, peer)) in noise.pairs_off)
             filters.exclude(excluded)
             staying = filters.staying(at_s)
             of_tests = {b if a == vehicle else a for a, b in tested if vehicle in (a, b)}
@@ -106,14 +116,11 @@ class FaultMonitor:
             included = sorted(by_peer.keys() & kept)
             if included and at_s > filters.at_s:
                 filters.update({peer: self._residual(by_peer[peer], noise) for peer in included}, at_s)
-        self._ranges = {}
-        self._filters = {v: filters for v, filters in self._filters.items() if at_s - filters.at_s <= _FORGET_AFTER_S}
-        self._off = {v: peers for v, peers in self._off.items() if v in self._filters}
+        self._denied = {v: denied for v, denied in self._denied.items() if at_s - denied.filters.at_s <= _FORGET_AFTER_S}
 
     def drop(self, vehicle: int) -> None:
         """Drop the filters of a vehicle that has gained or lost its prior."""
-        self._filters.pop(vehicle, None)
-        self._ranges.pop(vehicle, None)
+        self._denied.pop(vehicle, None)
 
     def separation_m2(self, now_s: float) -> Mapping[int, FloatArray]:
         """Return the solution separation (2, 2) of each denied vehicle, m^2.
@@ -121,7 +128,7 @@ class FaultMonitor:
         It is the second moment of the vehicle's displacement over all faults, each with its weight. Where a pair is off the
         estimator may have refused its ranges: then they have displaced nothing, however long they are.
         """
-        return {vehicle: _separation_m2(filters, now_s, self._off.get(vehicle, ())) for vehicle, filters in self._redundant()}
+        return {vehicle: _separation_m2(denied.filters, now_s, denied.off) for vehicle, denied in self._redundant()}
 
     def detected(self) -> frozenset[int]:
         """Return the vehicles one of which is faulty; an empty set where no fault is detected.
@@ -129,8 +136,8 @@ class FaultMonitor:
         A denied vehicle whose own ranging device is the likeliest cause adds none.
         """
         detected = set[int]()
-        for _, filters in self._redundant():
-            probabilities = filters.probabilities()
+        for _, denied in self._redundant():
+            probabilities = denied.filters.probabilities()
             if sum(probability for _, probability in probabilities) < 1.0 - _MIN_NO_FAULT_PROBABILITY:
                 continue
             left = 1.0
@@ -141,8 +148,8 @@ class FaultMonitor:
                 detected |= {faulty} if faulty is not None else set()
         return frozenset(detected)
 
-    def _redundant(self) -> Iterable[tuple[int, FaultFilters]]:
-        return ((vehicle, filters) for vehicle, filters in self._filters.items() if len(filters.peers) >= _MIN_PEERS)
+    def _redundant(self) -> Iterable[tuple[int, _DeniedVehicle]]:
+        return ((vehicle, denied) for vehicle, denied in self._denied.items() if len(denied.filters.peers) >= _MIN_PEERS)
 
     def _residual(self, r: _PeerRanges, noise: NoiseModel) -> LineOfSightResidual:
         count = len(r.residuals_m)

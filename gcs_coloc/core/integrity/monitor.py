@@ -29,9 +29,6 @@ from gcs_coloc.core.integrity.reacquisition import ReacquisitionMonitor
 from gcs_coloc.core.integrity.report import IntegrityReport, ReviewedVehicle
 from gcs_coloc.core.integrity.solution_separation import SolutionSeparation, range_excess_m2
 from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeasurement, Residual
-from gcs_coloc.core.stations.node_id import is_station
-
-_STATION_RIGHT_S = 60.0  # chosen: nothing moves a station back; ranges that fit it for less passed it where they show nothing
 
 
 class IntegrityMonitor:
@@ -42,11 +39,9 @@ class IntegrityMonitor:
         self._fault_levels: dict[int, FaultLevel] = {}
         self._consistency = RangeConsistency()
         self._reacquisition = ReacquisitionMonitor()
-        self._right_since_s: dict[int, float] = {}
 
     def forget(self, sysid: int) -> None:
         """Forget a vehicle that makes room for another one."""
-        self._right_since_s.pop(sysid, None)
         self._consistency.forget(sysid)
         self._reacquisition.forget(sysid)
 
@@ -56,7 +51,7 @@ class IntegrityMonitor:
         A position without a velocity is ignored, and so is that of a vehicle identified as faulty until it is readmitted.
         """
         point = TrackPoint.of_report(position)
-        if point is not None and position.vehicle not in self._consistency.identified:
+        if point is not None and not self.has_identified(position.vehicle):
             self._consistency.residuals.add_position(position.vehicle, point)
 
     def has_identified(self, node: int) -> bool:
@@ -79,7 +74,7 @@ class IntegrityMonitor:
         if frame is None:
             return IntegrityReport()
         for vehicle in vehicles:
-            if not vehicle.is_witness or vehicle.sysid in self._consistency.identified:
+            if not vehicle.is_witness or self.has_identified(vehicle.sysid):
                 self._place_by_estimate(vehicle, now_s)
         doubtful = frozenset(vehicle.sysid for vehicle in vehicles if vehicle.is_doubtful)
         not_used = frozenset(vehicle.sysid for vehicle in vehicles if not vehicle.is_trusted)
@@ -88,17 +83,10 @@ class IntegrityMonitor:
         inflated = [replace(v, estimate=tested.inflate(v.estimate)) if v.estimate is not None else v for v in vehicles]
         self._update_fault_levels(inflated, now_s)
         reacquired = self._reacquisition.review(now_s, inflated, self._consistency.identified)
-        for sysid in list(self._consistency.identified):
-            if not self._reacquisition.has_become_right(sysid):
-                self._right_since_s.pop(sysid, None)
-            elif now_s - self._right_since_s.setdefault(sysid, now_s) >= (_STATION_RIGHT_S if is_station(sysid) else 0.0):
-                del self._right_since_s[sysid]
-                del self._consistency.identified[sysid]
-        sysids = [vehicle.sysid for vehicle in vehicles]
-        faults = {sysid: fault for sysid in sysids if (fault := self._fault(sysid)) is not None}
+        self._consistency.readmit(self._reacquisition.right(), now_s)
         return replace(
             reacquired,
-            faults={**reacquired.faults, **faults},
+            faults={**reacquired.faults, **self._faults(vehicles)},
             separation_m2=tested.separation_m2,
             fault_levels=dict(self._fault_levels),
             noise=self._consistency.noise,
@@ -152,8 +140,12 @@ class IntegrityMonitor:
         point = TrackPoint.of_estimate(where, now_s, 0.0, no_prior=True)
         self._consistency.residuals.add_position(vehicle.sysid, point)
 
-    def _fault(self, sysid: int) -> PositionFault | None:
-        identified = self._consistency.identified.get(sysid)
-        if identified is None and sysid in self._consistency.detected:
-            return PositionFault(FaultReason.NOT_ISOLATED, others=tuple(sorted(self._consistency.detected - {sysid})))
-        return identified
+    def _faults(self, vehicles: Sequence[ReviewedVehicle]) -> dict[int, PositionFault]:
+        identified, detected = self._consistency.identified, self._consistency.detected
+        faults: dict[int, PositionFault] = {}
+        for sysid in (vehicle.sysid for vehicle in vehicles):
+            if sysid in identified:
+                faults[sysid] = identified[sysid]
+            elif sysid in detected:
+                faults[sysid] = PositionFault(FaultReason.NOT_ISOLATED, others=tuple(sorted(detected - {sysid})))
+        return faults

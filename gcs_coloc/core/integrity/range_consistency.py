@@ -9,8 +9,10 @@ Samples are independent where their windows do not overlap: an outlier that last
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Collection, Mapping
-from math import exp, sqrt
+from dataclasses import dataclass
+from math import exp, inf, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +29,7 @@ from gcs_coloc.core.integrity.range_residuals import WAIT_S, WINDOW_S, RangeResi
 from gcs_coloc.core.integrity.solution_separation import noise_excess_m2
 from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.core.schedule import SAME_S
+from gcs_coloc.core.stations.node_id import is_station
 
 _IDENTIFY_AFTER = 2
 """Independent samples in a row that isolate a vehicle before it is identified. Chosen: an outlier that lasts as long as a window
@@ -50,6 +53,7 @@ _COARSE_CHANGE_SIGMAS = 12.0
 of 2 m/s that sets out from 1.3 m would be named after 9 s."""
 _PAIRS_FAIL_FOR_S = 60.0
 """For so long after pairs were off several may be at once. Chosen: a fleet takes as long to leave buildings and hills behind."""
+_STATION_RIGHT_S = 60.0  # chosen: nothing moves a station back; ranges that fit it for less passed it where they show nothing
 
 
 class _Tests(NamedTuple):
@@ -64,32 +68,48 @@ class _Tests(NamedTuple):
     results: Mapping[float, FaultTestResult]
 
 
+@dataclass(slots=True)
+class _Node:
+    """What the tests have found of one vehicle or station.
+
+    `fault`: it is identified. `right_since_s`: since when its receiver has been right again. `decayed_m2`: what the tests left of
+    its solution separation, until `alert_until_s` with the slower decay.
+    """
+
+    fault: PositionFault | None = None
+    right_since_s: float = inf
+    decayed_m2: FloatArray | None = None
+    alert_until_s: float = -inf
+
+
 class RangeConsistency:
     """The consistency monitor of one fleet.
 
     `residuals` is the buffer that positions and ranges are added to. `epoch` is the newest epoch, with the pairs that are ranged
-    seldom, `stated_epoch` that with its noise as stated. `identified` are the faulty vehicles. `separation_m2` has, for each
-    vehicle without prior, the second moment (2, 2) of its solution separation, m^2. `noise` is how much worse ranges and
-    positions were found to be than they state.
+    seldom, `stated_epoch` that with its noise as stated. `separation_m2` has, for each vehicle without prior, the second moment
+    (2, 2) of its solution separation, m^2. `noise` is how much worse ranges and positions were found to be than they state.
     """
 
     def __init__(self) -> None:
         self._fault_monitor = FaultMonitor()
         self.residuals = RangeResidualBuffer(self._fault_monitor)
         self.stated_epoch = self.epoch = Epoch(float("-inf"), {}, ())
-        self.identified: dict[int, PositionFault] = {}
         self.separation_m2: dict[int, FloatArray] = {}
         self.noise = NoiseModel()
-        self._decayed_m2: dict[int, FloatArray] = {}
+        self._nodes: defaultdict[int, _Node] = defaultdict(_Node)
         self._detection = Detection()
         self._epochs = EpochHistory()
         self._persistence = {interval_s: IsolationPersistence() for interval_s in (0.0, *INTERVALS_S)}
-        self._alert_until_s: dict[int, float] = {}
         self._pairs_fail_until_s = float("-inf")
         self._smaller_noise = SmallerNoise()
         self._accuracy = AccuracyEvidence()
         self._due_s = float("-inf")
         self._tested_s = float("-inf")
+
+    @property
+    def identified(self) -> dict[int, PositionFault]:
+        """The faulty vehicles and stations that were not readmitted."""
+        return {node: found.fault for node, found in self._nodes.items() if found.fault is not None}
 
     @property
     def detected(self) -> frozenset[int]:
@@ -104,14 +124,18 @@ class RangeConsistency:
     def forget(self, vehicle: int) -> None:
         """Forget a vehicle that makes room for another one; a detection lapses by itself."""
         self.residuals.drop(vehicle)
-        self.identified.pop(vehicle, None)
-        self._decayed_m2.pop(vehicle, None)
-        self._alert_until_s.pop(vehicle, None)
+        self._nodes.pop(vehicle, None)
+
+    def readmit(self, right: Collection[int], now_s: float) -> None:
+        """Readmit the identified nodes whose receiver is right now; a station only once it was for a while."""
+        for node in self.identified:
+            found = self._nodes[node]
+            found.right_since_s = min(found.right_since_s, now_s) if node in right else inf
+            if now_s - found.right_since_s >= (_STATION_RIGHT_S if is_station(node) else 0.0):
+                found.fault, found.right_since_s = None, inf
 
     def review(self, now_s: float, doubtful: Collection[int] = (), not_used: Collection[int] = ()) -> None:
-        """Run the tests if they are due.
-
-        They update identified and detected faults, and the solution separation.
+        """Run the tests if they are due: they update the faults and the solution separation.
 
         `doubtful` are the vehicles whose receivers speak against themselves: it isolates them where the ranges leave it open.
         `not_used` are those whose positions are tested but no anchors of the estimator: only the others move its estimates.
@@ -135,10 +159,7 @@ class RangeConsistency:
         self._update_separation(now_s)
 
     def _test(self, stated: Epoch, noise: NoiseModel, not_used: Collection[int] = ()) -> _Tests:
-        """Test an epoch with some noise, alone and against earlier ones.
-
-        The earlier ones are taken without the positions that are not used.
-        """
+        """Test an epoch with some noise, alone and against earlier ones without the positions not used."""
         epoch = noise.apply(stated)
         pasts: dict[float, Past] = {
             interval_s: (noise.apply(then.without_priors(not_used)) if then is not None else None, correlation)
@@ -150,10 +171,7 @@ class RangeConsistency:
     def _find_noise(
         self, whole: Epoch, present: FaultTestResult | None, left: NoiseModel, now_s: float, doubtful: Collection[int]
     ) -> NoiseModel:
-        """Return the noise of an epoch: what is `left` of that before, changed where the ranges show it.
-
-        `present` is the result of the epoch's test alone.
-        """
+        """Return what is `left` of the noise, changed where the epoch and its test alone (`present`) show it."""
         noise = explain_inconsistency(whole, present, left, doubtful)
         if noise.pairs_off:
             self._pairs_fail_until_s = now_s + _PAIRS_FAIL_FOR_S
@@ -165,10 +183,7 @@ class RangeConsistency:
         return self._accuracy.update(noise.select(whole), noise) if is_fault_free else noise
 
     def _run_fault_monitor(self, epoch: Epoch, now_s: float) -> None:
-        """Detect faulty peers from the ranges of denied vehicles, by the fault monitor.
-
-        It does so only where no ranges among other vehicles can test more.
-        """
+        """Run the fault monitor; it detects only where no ranges among other vehicles can test more."""
         pairs, found = [residual.pair for residual in epoch.residuals], frozenset[int]()
         self._fault_monitor.step(now_s - WAIT_S, self.detected | self.identified.keys(), self.noise, pairs)
         if not any(not epoch.priors[a].no_prior and not epoch.priors[b].no_prior for a, b in pairs):
@@ -193,10 +208,7 @@ class RangeConsistency:
             self._detection.end_of_tests()
 
     def _isolate(self, tests: _Tests, now_s: float, doubtful: Collection[int]) -> dict[float, Isolation]:
-        """Return what explains each contradiction, by interval in s, where a new sample is due.
-
-        A new sample shares no range with the one before.
-        """
+        """Return what explains each contradiction, by interval in s, where an independent sample is due."""
         epoch, pasts, results = tests
         pairs_fail = now_s <= self._pairs_fail_until_s
         samples: dict[float, Isolation] = {}
@@ -238,7 +250,7 @@ class RangeConsistency:
         for vehicle, size_m in identified.items():
             peers = {v for residual in epoch.residuals for v in residual.pair if vehicle in residual.pair}
             others = tuple(sorted(peers - identified.keys()))
-            self.identified[vehicle] = PositionFault(FaultReason.CONTRADICTS_RANGES, size_m, others)
+            self._nodes[vehicle].fault = PositionFault(FaultReason.CONTRADICTS_RANGES, size_m, others)
         self._detection.remove(identified)
         for persistence in self._persistence.values():
             persistence.reset()
@@ -268,6 +280,7 @@ class RangeConsistency:
         """Update how far faults among the positions in use may have moved the vehicles without prior."""
         epoch, _, results = tests
         age_s, present = now_s - epoch.at_s, results.get(0.0)
+        is_faulty = bool(self.identified or self.detected)
         for vehicle in {v for result in results.values() for v in result.separation_m2}:
             # What grew within an interval has grown on since the epoch.
             new = max(
@@ -278,25 +291,25 @@ class RangeConsistency:
                 ),
                 key=_trace,
             )
-            if self.identified or self.detected:
-                self._alert_until_s[vehicle] = now_s + _ALERT_S
-            is_alert = now_s < self._alert_until_s.get(vehicle, now_s)
+            found = self._nodes[vehicle]
+            if is_faulty:
+                found.alert_until_s = now_s + _ALERT_S
+            is_alert = now_s < found.alert_until_s
             if is_alert and present is not None and vehicle in present.separation_m2:
                 # The effect of the fault that remains in the estimate after the faulty vehicle is excluded.
                 offset_m = present.offset_m(vehicle)
                 new = new + np.outer(offset_m, offset_m)
             decay = exp(-PERIOD_S / (_ALERT_DECAY_TIME_S if is_alert else _DECAY_TIME_S))
-            old = self._decayed_m2.get(vehicle)
-            if old is not None and _trace(old) * decay > _trace(new):
-                new = old * decay
-            self._decayed_m2[vehicle] = new
+            old = found.decayed_m2
+            found.decayed_m2 = old * decay if old is not None and _trace(old) * decay > _trace(new) else new
 
     def _update_separation(self, now_s: float) -> None:
         """Take the larger separation of tests and fault monitor, with what noise beyond the stated one adds."""
         monitored = self._fault_monitor.separation_m2(now_s)
+        tested = {node: found.decayed_m2 for node, found in self._nodes.items() if found.decayed_m2 is not None}
         self.separation_m2 = {
-            vehicle: max((each[vehicle] for each in (self._decayed_m2, monitored) if vehicle in each), key=_trace)
-            for vehicle in self._decayed_m2.keys() | monitored.keys()
+            vehicle: max((each[vehicle] for each in (tested, monitored) if vehicle in each), key=_trace)
+            for vehicle in tested.keys() | monitored.keys()
         }
         for vehicle, excess_m2 in noise_excess_m2(self.stated_epoch, self.epoch).items():
             self.separation_m2[vehicle] = self.separation_m2.get(vehicle, 0.0) + excess_m2

@@ -160,10 +160,9 @@ class ReacquisitionMonitor:
         if self._receivers:
             self._residuals.add_range(measurement)
 
-    def has_become_right(self, sysid: int) -> bool:
-        """Return whether a receiver is tested and is not, or no longer, found wrong."""
-        receiver = self._receivers.get(sysid)
-        return receiver is not None and not receiver.wrong
+    def right(self) -> frozenset[int]:
+        """Return the receivers that are tested and are not, or no longer, found wrong."""
+        return frozenset(sysid for sysid, receiver in self._receivers.items() if not receiver.wrong)
 
     def review(
         self, now_s: float, vehicles: Sequence[ReviewedVehicle], identified: Mapping[int, PositionFault]
