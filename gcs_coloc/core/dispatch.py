@@ -207,7 +207,7 @@ class MessageDispatch:
     def _believed(self, sysid: int) -> PositionMeasurement | None:
         """Return the position that a vehicle reports while its GPS is healthy."""
         is_healthy = self._stages.gps_health[sysid].state is GpsState.HEALTHY
-        return self._stages.measurements.reported.get(sysid) if is_healthy else None
+        return self._stages.measurements.reported(sysid) if is_healthy else None
 
     def _add_receiver(self, message: GpsReceiver, vehicle: ReportedState, last: LastRound) -> None:
         if message.receiver == self._stages.telemetry.own_receiver:

@@ -87,11 +87,11 @@ class FleetReview:
         Attitude with airspeed shows it, and so do the reported positions of a trusted vehicle. The time is service time.
         """
         s, times_s = self._stages, []
-        vehicle, attitude_at_s = s.telemetry.get(where.vehicle), s.measurements.attitude_at_s.get(where.vehicle)
+        vehicle, attitude_at_s = s.telemetry.get(where.vehicle), s.measurements.attitude_at_s(where.vehicle)
         has_air_data = vehicle is not None and vehicle.has_air_data(where.at_s) and not where.refuses_air_data
         if has_air_data and attitude_at_s is not None:
             times_s.append(attitude_at_s)
-        reported = s.measurements.reported.get(where.vehicle)
+        reported = s.measurements.reported(where.vehicle)
         if reported is not None and self._is_trusted(where.vehicle):
             times_s.append(reported.measured_at_s)
         return max(times_s, default=None)
@@ -226,7 +226,7 @@ class FleetReview:
             return None
         frame, station = self._stages.measurements.frame, self._stages.stations.get(node) if is_station(node) else None
         if station is None:
-            return self._stages.measurements.reported.get(node)
+            return self._stages.measurements.reported(node)
         return station.measurement(frame, now_s) if frame is not None else None
 
     def end_round(self) -> None:
@@ -248,8 +248,8 @@ class FleetReview:
             is_automatic=self._overrides.of(sysid, GpsOverride) is GpsOverride.AUTO,
             is_doubtful=self._stages.gps_health[sysid].is_doubtful(now_s),
             is_returning=self._stages.gps_health[sysid].is_returning,
-            reported=self._stages.measurements.reported.get(sysid),
-            receiver_fix=self._stages.measurements.receiver_fixes.get(sysid),
+            reported=self._stages.measurements.reported(sysid),
+            receiver_fix=self._stages.measurements.receiver_fix(sysid),
             estimate=where if isinstance(where, Estimate) else None,
             median_nis=self._median_nis.get(sysid),
             range_jump_m=self._jumps_m.get(sysid),

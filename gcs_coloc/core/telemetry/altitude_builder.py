@@ -13,7 +13,7 @@ Source of the pressure altitude: International Standard Atmosphere (ISO 2533), t
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from math import exp, hypot
 from statistics import fmean
@@ -23,8 +23,6 @@ from gcs_coloc.core.clocks.vehicle_clocks import ServiceTime
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import AltitudeMeasurement, PositionMeasurement
 from gcs_coloc.core.messages.inbound import GlobalPosition, PeerRange, Pressure
-from gcs_coloc.core.stations.stations import Station
-from gcs_coloc.core.telemetry.reported_state import ReportedState
 
 _EARTH_RADIUS_M = 6_371_000.0  # IUGG's mean radius
 _UNKNOWN_SPEED_MPS = 30.0  # chosen: a fast fixed-wing aircraft of a few kilograms
@@ -52,11 +50,12 @@ class PressureHeight(NamedTuple):
     sigma_m: float
 
 
-@dataclass(slots=True)
-class _Barometer:
+@dataclass(slots=True, eq=False)
+class Barometer:
     """What is known of one vehicle's barometer.
 
-    `offset_m`: height minus pressure altitude, learnt for `learnt_s`. `others_m`: the offsets of the others at that time.
+    `offset_m`: height minus pressure altitude, learnt for `learnt_s`. `others_m`: the offsets of the others at that time. A fleet
+    is all barometers, this one among them.
     """
 
     altitude_m: float = 0.0
@@ -65,73 +64,52 @@ class _Barometer:
     offset_at_s: float = 0.0
     learnt_s: float = 0.0
     learnt_altitude_m: float = 0.0
-    others_m: dict[int, float] = field(default_factory=dict)
+    others_m: Mapping[Barometer, float] = field(default_factory=dict)
 
+    def add(self, pressure_hpa: float, at_s: float) -> None:
+        """Add a pressure."""
+        self.altitude_m, self.at_s = pressure_altitude_m(pressure_hpa), at_s
 
-class PressureHeights:
-    """The barometers of one fleet."""
-
-    def __init__(self) -> None:
-        self._barometers: dict[int, _Barometer] = {}
-
-    def forget(self, sysid: int) -> None:
-        """Forget a barometer: another one under its id shows no change of the weather against it."""
-        self._barometers.pop(sysid, None)
-        for barometer in self._barometers.values():
-            barometer.others_m.pop(sysid, None)
-
-    def add(self, sysid: int, pressure_hpa: float, at_s: float) -> None:
-        """Add the pressure that a vehicle measured."""
-        barometer = self._barometers.setdefault(sysid, _Barometer())
-        barometer.altitude_m, barometer.at_s = pressure_altitude_m(pressure_hpa), at_s
-
-    def learn(self, sysid: int, alt_msl_m: float, at_s: float) -> None:
-        """Learn the offset of a barometer from the height of its vehicle, whose GPS is trusted."""
-        barometer = self._barometers.get(sysid)
-        if barometer is None or at_s - barometer.at_s > _FRESH_S:
+    def learn(self, alt_msl_m: float, at_s: float, fleet: Iterable[Barometer]) -> None:
+        """Learn the offset from the height of its vehicle, whose GPS is trusted."""
+        if at_s - self.at_s > _FRESH_S:
             return
-        offset_m, since_s = alt_msl_m - barometer.altitude_m, at_s - barometer.offset_at_s
-        if barometer.offset_m is None or since_s > 6.0 * _LEARNS_IN_S:
-            barometer.offset_m, barometer.learnt_s = offset_m, 0.0
+        offset_m, since_s = alt_msl_m - self.altitude_m, at_s - self.offset_at_s
+        if self.offset_m is None or since_s > 6.0 * _LEARNS_IN_S:
+            self.offset_m, self.learnt_s = offset_m, 0.0
         else:
-            barometer.offset_m += (1.0 - exp(-since_s / _LEARNS_IN_S)) * (offset_m - barometer.offset_m)
-            barometer.learnt_s += since_s
-        barometer.offset_at_s, barometer.learnt_altitude_m = at_s, barometer.altitude_m
-        barometer.others_m = self._offsets_of_others(sysid, at_s)
+            self.offset_m += (1.0 - exp(-since_s / _LEARNS_IN_S)) * (offset_m - self.offset_m)
+            self.learnt_s += since_s
+        self.offset_at_s, self.learnt_altitude_m = at_s, self.altitude_m
+        self.others_m = self._offsets_of_others(at_s, fleet)
 
-    def height(self, sysid: int, at_s: float) -> PressureHeight | None:
-        """Return the height of a vehicle by its barometer; None where it is not known.
-
-        It is not known while the barometer is silent, or nothing tells its offset.
-        """
-        barometer = self._barometers.get(sysid)
-        if barometer is None or at_s - barometer.at_s > _FRESH_S:
+    def height(self, at_s: float, fleet: Iterable[Barometer]) -> PressureHeight | None:
+        """Return the height of its vehicle; None while it is silent, or nothing tells its offset."""
+        if at_s - self.at_s > _FRESH_S:
             return None
-        others_m = self._offsets_of_others(sysid, at_s)
-        if barometer.offset_m is not None and barometer.learnt_s >= _LEAST_LEARNT_S:
-            changes_m = [
-                offset_m - barometer.others_m[other] for other, offset_m in others_m.items() if other in barometer.others_m
-            ]
-            alt_msl_m = barometer.altitude_m + barometer.offset_m + (fmean(changes_m) if changes_m else 0.0)
-            return PressureHeight(alt_msl_m, _SCALE_SIGMA * abs(barometer.altitude_m - barometer.learnt_altitude_m))
+        others_m = self._offsets_of_others(at_s, fleet)
+        if self.offset_m is not None and self.learnt_s >= _LEAST_LEARNT_S:
+            changes_m = [offset_m - self.others_m[other] for other, offset_m in others_m.items() if other in self.others_m]
+            alt_msl_m = self.altitude_m + self.offset_m + (fmean(changes_m) if changes_m else 0.0)
+            return PressureHeight(alt_msl_m, _SCALE_SIGMA * abs(self.altitude_m - self.learnt_altitude_m))
         if not others_m:
             return None
-        climb_m = barometer.altitude_m - fmean(self._barometers[other].altitude_m for other in others_m)
+        climb_m = self.altitude_m - fmean(other.altitude_m for other in others_m)
         sigma_m = hypot(_OTHER_SENSOR_SIGMA_M, _SCALE_SIGMA * climb_m)
-        return PressureHeight(barometer.altitude_m + fmean(others_m.values()), sigma_m)
+        return PressureHeight(self.altitude_m + fmean(others_m.values()), sigma_m)
 
-    def _offsets_of_others(self, sysid: int, at_s: float) -> dict[int, float]:
+    def _offsets_of_others(self, at_s: float, fleet: Iterable[Barometer]) -> dict[Barometer, float]:
         return {
-            other: barometer.offset_m
-            for other, barometer in self._barometers.items()
-            if other != sysid
-            and barometer.offset_m is not None
-            and barometer.learnt_s >= _LEAST_LEARNT_S
-            and at_s - barometer.offset_at_s <= _FRESH_S
+            other: other.offset_m
+            for other in fleet
+            if other is not self
+            and other.offset_m is not None
+            and other.learnt_s >= _LEAST_LEARNT_S
+            and at_s - other.offset_at_s <= _FRESH_S
         }
 
 
-class _Place(NamedTuple):
+class KnownPlace(NamedTuple):
     """Where a vehicle was at a time, and how far it may be from there.
 
     `east_m` and `north_m` are in the fleet's frame, and right within `sigma_m`. `at_s` is service time. `speed_mps` is how fast
@@ -157,60 +135,46 @@ class SentFix(NamedTuple):
 
 
 @dataclass(slots=True)
-class _Memory:
-    """What the builder keeps of one vehicle.
-
-    `datum_sigma_m` is how uncertain its height is beyond its barometer, where that began with a fix of ours. `place` is where it
-    was while trusted, `near` where a trusted vehicle was that is in range of it.
-    """
-
-    height_reported_at_s: float | None = None
-    datum_sigma_m: float = 0.0
-    place: _Place | None = None
-    near: _Place | None = None
-
-
 class AltitudeBuilder:
-    """Builds the altitudes of one fleet's vehicles.
+    """Builds the altitudes of one vehicle.
 
     There is none before anything tells where the vehicle is: the earth falls away from the frame's plane.
+
+    `datum_sigma_m` is how uncertain its height is beyond its barometer, where that began with a fix of ours. `_place` is where it
+    was while trusted, `_near` where a trusted vehicle was that is in range of it.
     """
 
-    def __init__(self) -> None:
-        self._memories: defaultdict[int, _Memory] = defaultdict(_Memory)
-        self._pressures = PressureHeights()
+    barometer: Barometer = field(default_factory=Barometer)
+    _height_reported_at_s: float | None = None
+    _datum_sigma_m: float = 0.0
+    _place: KnownPlace | None = None
+    _near: KnownPlace | None = None
 
-    def forget(self, sysid: int) -> None:
-        """Forget a vehicle and its barometer."""
-        self._memories.pop(sysid, None)
-        self._pressures.forget(sysid)
-
-    def add_trusted_position(self, message: GlobalPosition, reported: PositionMeasurement) -> None:
-        """Add the position of a trusted vehicle.
-
-        It calibrates the vehicle's barometer, and tells roughly where its peers are.
-        """
-        memory, now_s = self._memories[message.sysid], message.received_at_s
-        memory.datum_sigma_m, memory.height_reported_at_s = 0.0, now_s
-        self._pressures.learn(message.sysid, message.alt_msl_m, now_s)
-        east_m, north_m, _ = reported.position_enu_m
-        memory.place = _Place(east_m, north_m, 0.0, now_s, hypot(message.vn_mps, message.ve_mps))
-
-    def add_range(
-        self, message: PeerRange, vehicle: ReportedState, peer: ReportedState | Station, frame: LocalFrame | None
-    ) -> None:
-        """Add a range: either end is as far from the other as the range, whichever of the two measured it."""
+    def add_trusted_position(self, message: GlobalPosition, reported: PositionMeasurement, fleet: Iterable[Barometer]) -> None:
+        """Add its position while it is trusted: it calibrates the barometer, and tells where its peers are."""
         now_s = message.received_at_s
-        of_peer = self._place_of(peer, now_s, frame)
-        if not isinstance(peer, Station):
-            self._add_near(peer, self._place_of(vehicle, now_s, frame), message)
-        self._add_near(vehicle, of_peer, message)
+        self._datum_sigma_m, self._height_reported_at_s = 0.0, now_s
+        self.barometer.learn(message.alt_msl_m, now_s, fleet)
+        east_m, north_m, _ = reported.position_enu_m
+        self._place = KnownPlace(east_m, north_m, 0.0, now_s, hypot(message.vn_mps, message.ve_mps))
+
+    def add_range(self, message: PeerRange, other_end: KnownPlace | None) -> None:
+        """Add a range, whichever end measured it: the vehicle is as far from the other end."""
+        if other_end is not None:
+            e, n, at_s = other_end.east_m, other_end.north_m, message.received_at_s
+            self._near = KnownPlace(e, n, message.range_m, at_s, _UNKNOWN_SPEED_MPS)
+
+    def recent_place(self, now_s: float) -> KnownPlace | None:
+        """Return where it was of late while trusted; None where that is not known."""
+        place = self._place
+        return place if place is not None and now_s - place.at_s <= _PLACED_FOR_S else None
 
     def from_position(
         self,
         message: GlobalPosition,
         measured: ServiceTime,
         frame: LocalFrame,
+        fleet: Iterable[Barometer],
         *,
         booted_at_s: float,
         altitude_sigma_m: float,
@@ -225,38 +189,35 @@ class AltitudeBuilder:
         its height is ours come back, and no better known than that was. `located_enu_m` is where the estimator has it (east,
         north).
         """
-        memory, now_s = self._memories[message.sysid], message.received_at_s
-        if memory.height_reported_at_s is None or booted_at_s > memory.height_reported_at_s:
-            memory.datum_sigma_m = sent_fix.sigma_v_m if sent_fix is not None and sent_fix.at_s > booted_at_s else 0.0
-        memory.height_reported_at_s = now_s
-        if self._pressures.height(message.sysid, now_s) is not None:
+        now_s = message.received_at_s
+        if self._height_reported_at_s is None or booted_at_s > self._height_reported_at_s:
+            self._datum_sigma_m = sent_fix.sigma_v_m if sent_fix is not None and sent_fix.at_s > booted_at_s else 0.0
+        self._height_reported_at_s = now_s
+        if self.barometer.height(now_s, fleet) is not None:
             return None
-        sigma_m = hypot(altitude_sigma_m, memory.datum_sigma_m, message.vd_mps * measured.sigma_s)
+        sigma_m = hypot(altitude_sigma_m, self._datum_sigma_m, message.vd_mps * measured.sigma_s)
         return self._altitude(message, message.alt_msl_m, sigma_m, frame, measured, located_enu_m)
 
-    def sigma_m(self, sysid: int, now_s: float, *, altitude_sigma_m: float) -> float:
-        """Return the 1-sigma that the altitude of a trusted vehicle would have without its GPS, m."""
-        height = self._pressures.height(sysid, now_s)
+    def sigma_m(self, now_s: float, fleet: Iterable[Barometer], *, altitude_sigma_m: float) -> float:
+        """Return the 1-sigma that its altitude would have without its GPS while it is trusted, m."""
+        height = self.barometer.height(now_s, fleet)
         return hypot(altitude_sigma_m, height.sigma_m) if height is not None else altitude_sigma_m
-
-    def add_pressure(self, message: Pressure) -> None:
-        """Add what a vehicle's barometer measures."""
-        self._pressures.add(message.sysid, message.pressure_hpa, message.received_at_s)
 
     def from_pressure(
         self,
         message: Pressure,
         measured: ServiceTime,
         frame: LocalFrame,
+        fleet: Iterable[Barometer],
         *,
         altitude_sigma_m: float,
         located_enu_m: tuple[float, float] | None,
     ) -> AltitudeMeasurement | None:
-        """Build the altitude by a barometer whose pressure has been added.
+        """Build the altitude by its barometer, to which the pressure has been added.
 
         None where nothing tells what the pressure means, or where the vehicle is.
         """
-        height = self._pressures.height(message.sysid, message.received_at_s)
+        height = self.barometer.height(message.received_at_s, fleet)
         if height is None:
             return None
         sigma_m = hypot(altitude_sigma_m, height.sigma_m)
@@ -276,25 +237,11 @@ class AltitudeBuilder:
         Its noise has that of the place in it. At a distance D from the origin, a place that is off by d changes the up
         coordinate by D d / R, where R is the radius of the earth.
         """
-        now_s, memory = message.received_at_s, self._memories[message.sysid]
-        places = [_Place(*located_enu_m, 0.0, now_s, 0.0)] if located_enu_m is not None else [memory.place, memory.near]
+        now_s = message.received_at_s
+        places = [KnownPlace(*located_enu_m, 0.0, now_s, 0.0)] if located_enu_m is not None else [self._place, self._near]
         place = min((p for p in places if p is not None), key=lambda p: p.sigma_at(now_s), default=None)
         if place is None:
             return None
         up_m = frame.up_from_height(place.east_m, place.north_m, alt_msl_m)
         fallen_m = hypot(place.east_m, place.north_m) * place.sigma_at(now_s) / _EARTH_RADIUS_M
         return AltitudeMeasurement(message.sysid, measured.at_s, now_s, up_m, hypot(sigma_m, fallen_m))
-
-    def _add_near(self, end: ReportedState, place: _Place | None, message: PeerRange) -> None:
-        """Keep where the other end of a range is."""
-        if place is not None:
-            at_s = message.received_at_s
-            self._memories[end.sysid].near = _Place(place.east_m, place.north_m, message.range_m, at_s, _UNKNOWN_SPEED_MPS)
-
-    def _place_of(self, node: ReportedState | Station, now_s: float, frame: LocalFrame | None) -> _Place | None:
-        """Return where a trusted vehicle was of late, or where a station is; None where that is not known."""
-        if not isinstance(node, Station):
-            place = self._memories[node.sysid].place
-            return place if place is not None and now_s - place.at_s <= _PLACED_FOR_S else None
-        where = node.measurement(frame, now_s) if frame is not None else None
-        return _Place(*where.position_enu_m[:2], 0.0, now_s, 0.0) if where is not None else None

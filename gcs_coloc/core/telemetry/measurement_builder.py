@@ -6,7 +6,9 @@ altitude, the attitude and the airspeed are evidence.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from gcs_coloc.core.clocks.fleet_clocks import FleetClocks
@@ -15,10 +17,10 @@ from gcs_coloc.core.measurements import AltitudeMeasurement, AttitudeMeasurement
 from gcs_coloc.core.messages.inbound import FIX_3D, Attitude, GlobalPosition, GpsReceiver, PeerRange, Pressure
 from gcs_coloc.core.reasons import CoreRefusal
 from gcs_coloc.core.stations.stations import Station
-from gcs_coloc.core.telemetry.altitude_builder import AltitudeBuilder, SentFix
+from gcs_coloc.core.telemetry.altitude_builder import AltitudeBuilder, Barometer, KnownPlace, SentFix
 from gcs_coloc.core.telemetry.measurement_settings import MeasurementSettings
-from gcs_coloc.core.telemetry.position_builder import PositionBuilder
-from gcs_coloc.core.telemetry.range_builder import BuiltRange, RangeBuilder
+from gcs_coloc.core.telemetry.position_builder import PositionJumps, receiver_position, reported_position
+from gcs_coloc.core.telemetry.range_builder import BuiltRange, RangeMemory, build_range
 from gcs_coloc.core.telemetry.reported_state import ReportedState, true_airspeed_mps
 
 _AIRSPEED_FRESH_S = 1.0  # chosen: five periods of VFR_HUD at the requested rate
@@ -34,13 +36,27 @@ class BuiltPosition(NamedTuple):
     measurement: PositionMeasurement | AltitudeMeasurement | None
 
 
+@dataclass(slots=True)
+class _Vehicle:
+    """What the builder keeps of one vehicle; the first three are what the methods of their names return."""
+
+    reported: PositionMeasurement | None = None
+    receiver_fix: PositionMeasurement | None = None
+    attitude_at_s: float | None = None
+    jumps: PositionJumps = field(default_factory=PositionJumps)
+    altitudes: AltitudeBuilder = field(default_factory=AltitudeBuilder)
+    ranges: RangeMemory = field(default_factory=RangeMemory)
+
+
+_UNHEARD = _Vehicle()
+"""What is kept of a vehicle that was not heard: read, never written."""
+
+
 class MeasurementBuilder:
     """Turns the messages of one fleet into measurements in the fleet's frame.
 
     `refused` counts what it refuses. `frame` is None until the first position of a vehicle with trusted GPS sets its origin, or
-    a station does. By vehicle: `reported` is the newest position that it reported of itself, believed or not, `receiver_fixes`
-    the newest 3D fix of its own receiver while it is not trusted, `attitude_at_s` when its newest attitude with airspeed was
-    measured.
+    a station does.
     """
 
     def __init__(self, settings: MeasurementSettings, clocks: FleetClocks) -> None:
@@ -48,21 +64,23 @@ class MeasurementBuilder:
         self.frame: LocalFrame | None = None
         self.refused: Counter[CoreRefusal] = Counter()
         self._clocks = clocks
-        self._positions = PositionBuilder(settings)
-        self._altitudes = AltitudeBuilder()
-        self._ranges = RangeBuilder(settings)
-        self.reported: dict[int, PositionMeasurement] = {}
-        self.attitude_at_s: dict[int, float] = {}
-        self.receiver_fixes: dict[int, PositionMeasurement] = {}
+        self._vehicles: defaultdict[int, _Vehicle] = defaultdict(_Vehicle)
 
     def forget(self, sysid: int) -> None:
         """Forget a vehicle that makes room for another one."""
-        self._positions.forget(sysid)
-        self._altitudes.forget(sysid)
-        self._ranges.forget(sysid)
-        self.reported.pop(sysid, None)
-        self.attitude_at_s.pop(sysid, None)
-        self.receiver_fixes.pop(sysid, None)
+        self._vehicles.pop(sysid, None)
+
+    def reported(self, sysid: int) -> PositionMeasurement | None:
+        """Return the newest position that a vehicle reported of itself, believed or not."""
+        return self._vehicles.get(sysid, _UNHEARD).reported
+
+    def receiver_fix(self, sysid: int) -> PositionMeasurement | None:
+        """Return the newest 3D fix of a vehicle's own receiver while the vehicle is not trusted."""
+        return self._vehicles.get(sysid, _UNHEARD).receiver_fix
+
+    def attitude_at_s(self, sysid: int) -> float | None:
+        """Return when the newest attitude with airspeed of a vehicle was measured."""
+        return self._vehicles.get(sysid, _UNHEARD).attitude_at_s
 
     def set_origin(self, station: Station) -> None:
         """Set the fleet's origin at a station, where no vehicle has set it yet."""
@@ -90,15 +108,18 @@ class MeasurementBuilder:
             self.frame = LocalFrame(message.lat_deg, message.lon_deg, message.alt_msl_m)
         if self.frame is None:
             return None
-        reported = self._positions.build(message, vehicle.receiver, measured, self.frame, is_trusted=is_trusted)
-        self.reported[message.sysid] = reported
+        kept = self._vehicles[message.sysid]
+        reported = kept.reported = reported_position(
+            message, vehicle.receiver, measured, self.frame, self.settings, kept.jumps, is_trusted=is_trusted
+        )
         if is_trusted:
-            self._altitudes.add_trusted_position(message, reported)
+            kept.altitudes.add_trusted_position(message, reported, self._barometers())
             return BuiltPosition(reported, reported)
-        altitude = self._altitudes.from_position(
+        altitude = kept.altitudes.from_position(
             message,
             measured,
             self.frame,
+            self._barometers(),
             booted_at_s=self._clocks.booted_at_s(message, measured),
             altitude_sigma_m=self.settings.altitude_sigma_m,
             sent_fix=sent_fix,
@@ -116,11 +137,17 @@ class MeasurementBuilder:
         measured = self._clocks.stamp(message)
         if measured is None:
             return None
-        self._altitudes.add_pressure(message)
+        altitudes = self._vehicles[message.sysid].altitudes
+        altitudes.barometer.add(message.pressure_hpa, message.received_at_s)
         if is_trusted or self.frame is None:
             return None
-        return self._altitudes.from_pressure(
-            message, measured, self.frame, altitude_sigma_m=self.settings.altitude_sigma_m, located_enu_m=located_enu_m
+        return altitudes.from_pressure(
+            message,
+            measured,
+            self.frame,
+            self._barometers(),
+            altitude_sigma_m=self.settings.altitude_sigma_m,
+            located_enu_m=located_enu_m,
         )
 
     def attitude(self, message: Attitude, vehicle: ReportedState) -> AttitudeMeasurement | None:
@@ -134,7 +161,7 @@ class MeasurementBuilder:
         air = vehicle.airspeed
         fresh = vehicle.winged and air is not None and message.received_at_s - air.received_at_s <= _AIRSPEED_FRESH_S
         if fresh:
-            self.attitude_at_s[message.sysid] = measured.at_s
+            self._vehicles[message.sysid].attitude_at_s = measured.at_s
         return AttitudeMeasurement(
             vehicle=message.sysid,
             measured_at_s=measured.at_s,
@@ -156,9 +183,18 @@ class MeasurementBuilder:
         measured = self._clocks.range_time(message, self.delay_s(message.sysid))
         if measured is None:
             return BuiltRange(None)
-        built = self._ranges.build(message, vehicle, peer, measured)
-        if built.measurement is not None:
-            self._altitudes.add_range(message, vehicle, peer, self.frame)
+        own = self._vehicles[message.sysid]
+        if isinstance(peer, Station):
+            built = build_range(message, (vehicle, own.ranges), peer, measured, self.settings)
+            if built.measurement is not None:
+                own.altitudes.add_range(message, self._station_place(peer, message.received_at_s))
+        else:
+            other = self._vehicles[peer.sysid]
+            built = build_range(message, (vehicle, own.ranges), (peer, other.ranges), measured, self.settings)
+            if built.measurement is not None:
+                own_place, peer_place = (each.altitudes.recent_place(message.received_at_s) for each in (own, other))
+                other.altitudes.add_range(message, own_place)
+                own.altitudes.add_range(message, peer_place)
         if built.refused is not None:
             self.refused[built.refused] += 1
         return built
@@ -166,26 +202,34 @@ class MeasurementBuilder:
     def add_receiver(self, message: GpsReceiver, vehicle: ReportedState, *, is_trusted: bool) -> None:
         """Add a report of a vehicle's own receiver.
 
-        While the vehicle is not trusted, `receiver_fixes` has its fix as a measurement.
+        While the vehicle is not trusted, `receiver_fix` returns its fix as a measurement.
         """
-        if is_trusted or self.frame is None or message.fix_type < FIX_3D:
-            self.receiver_fixes.pop(message.sysid, None)
-            return
-        measured = self._clocks.fix_time(message)
-        self.receiver_fixes[message.sysid] = self._positions.build_fix(message, vehicle.position, measured, self.frame)
+        fix: PositionMeasurement | None = None
+        if not is_trusted and self.frame is not None and message.fix_type >= FIX_3D:
+            measured = self._clocks.fix_time(message)
+            fix = receiver_position(message, vehicle.position, measured, self.frame, self.settings)
+        self._vehicles[message.sysid].receiver_fix = fix
 
     def delay_s(self, sysid: int) -> float | None:
         """Return how long the newest position was under way beyond what is assumed, s."""
-        reported = self.reported.get(sysid)
+        reported = self.reported(sysid)
         return reported.arrived_at_s - reported.measured_at_s if reported is not None else None
 
     def height_sigma_m(self, sysid: int, now_s: float) -> float:
         """Return the 1-sigma of the heights that a trusted vehicle would have without its GPS, m."""
-        return self._altitudes.sigma_m(sysid, now_s, altitude_sigma_m=self.settings.altitude_sigma_m)
+        altitudes = self._vehicles.get(sysid, _UNHEARD).altitudes
+        return altitudes.sigma_m(now_s, self._barometers(), altitude_sigma_m=self.settings.altitude_sigma_m)
 
     def range_sigma_m(self, sysid: int) -> float | None:
         """Return the 1-sigma of a vehicle's ranges of late, with the errors of its peers' positions in it, m."""
-        return self._ranges.sigma_m(sysid)
+        return self._vehicles.get(sysid, _UNHEARD).ranges.sigma_m
+
+    def _barometers(self) -> Iterator[Barometer]:
+        return (kept.altitudes.barometer for kept in self._vehicles.values())
+
+    def _station_place(self, station: Station, now_s: float) -> KnownPlace | None:
+        where = station.measurement(self.frame, now_s) if self.frame is not None else None
+        return KnownPlace(*where.position_enu_m[:2], 0.0, now_s, 0.0) if where is not None else None
 
     def _alt_msl_m(self, vehicle: ReportedState) -> float:
         """Return the altitude of a vehicle; that of the fleet's origin, or sea level, where it reports none."""

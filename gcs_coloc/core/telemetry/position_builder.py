@@ -1,4 +1,4 @@
-"""The builder of position measurements, with the noise of each.
+"""Position measurements from what vehicles and their receivers report, with the noise of each.
 
 The noise is what a receiver states, the settings assume or jumps show. What was measured at an uncertain time was measured at an
 uncertain place: a position gets speed times time sigma as further noise.
@@ -97,37 +97,36 @@ class PositionJumps:
         return self._jump_m * exp(-since_s / _SETTLES_S) if self._jump_m and since_s < _OVER_S else 0.0
 
 
-class PositionBuilder:
-    """Builds the positions of one fleet's vehicles."""
+def reported_position(
+    message: GlobalPosition,
+    receiver: GpsReceiver | None,
+    measured: ServiceTime,
+    frame: LocalFrame,
+    settings: MeasurementSettings,
+    jumps: PositionJumps,
+    *,
+    is_trusted: bool,
+) -> PositionMeasurement:
+    """Return the position that a vehicle reports, with the accuracy of its receiver and what jumps add."""
+    ned_mps = (message.vn_mps, message.ve_mps, message.vd_mps)
+    reported = _measure(message, ned_mps, receiver_accuracy(receiver, settings), measured, frame)
+    jump_m = jumps.sigma_m(reported, is_trusted=is_trusted)
+    return replace(reported, sigma_h_m=hypot(reported.sigma_h_m, jump_m)) if jump_m else reported
 
-    def __init__(self, settings: MeasurementSettings) -> None:
-        self._settings = settings
-        self._jumps: dict[int, PositionJumps] = {}
 
-    def forget(self, sysid: int) -> None:
-        """Forget the jumps of a vehicle."""
-        self._jumps.pop(sysid, None)
+def receiver_position(
+    fix: GpsReceiver,
+    position: GlobalPosition | None,
+    measured: ServiceTime,
+    frame: LocalFrame,
+    settings: MeasurementSettings,
+) -> PositionMeasurement:
+    """Return the fix of a vehicle's receiver, with the velocity that its autopilot reported last.
 
-    def build(
-        self, message: GlobalPosition, receiver: GpsReceiver | None, measured: ServiceTime, frame: LocalFrame, *, is_trusted: bool
-    ) -> PositionMeasurement:
-        """Build the position that a vehicle reports, with the accuracy of its receiver."""
-        ned_mps = (message.vn_mps, message.ve_mps, message.vd_mps)
-        reported = _measure(message, ned_mps, receiver_accuracy(receiver, self._settings), measured, frame)
-        jumps = self._jumps.setdefault(message.sysid, PositionJumps())
-        jump_m = jumps.sigma_m(reported, is_trusted=is_trusted)
-        return replace(reported, sigma_h_m=hypot(reported.sigma_h_m, jump_m)) if jump_m else reported
-
-    def build_fix(
-        self, fix: GpsReceiver, position: GlobalPosition | None, measured: ServiceTime, frame: LocalFrame
-    ) -> PositionMeasurement:
-        """Build the fix of a vehicle's receiver.
-
-        Its velocity is that of the position which the autopilot reported last.
-        """
-        # What the unknown age of the fix means at that speed is in `sigma_h_m`.
-        ned_mps = (position.vn_mps, position.ve_mps, position.vd_mps) if position is not None else (0.0, 0.0, 0.0)
-        return _measure(fix, ned_mps, receiver_accuracy(fix, self._settings), measured, frame)
+    What the age of the fix means at that speed is in `sigma_h_m`.
+    """
+    ned_mps = (position.vn_mps, position.ve_mps, position.vd_mps) if position is not None else (0.0, 0.0, 0.0)
+    return _measure(fix, ned_mps, receiver_accuracy(fix, settings), measured, frame)
 
 
 def _measure(

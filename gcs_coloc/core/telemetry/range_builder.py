@@ -8,7 +8,7 @@ further noise. It states that part apart as well, for an estimator that models c
 
 from __future__ import annotations
 
-from collections import defaultdict
+from dataclasses import dataclass, field
 from math import hypot
 from typing import NamedTuple
 
@@ -35,78 +35,81 @@ class BuiltRange(NamedTuple):
     refused: CoreRefusal | None = None
 
 
-class RangeBuilder:
-    """Builds the ranges of one fleet's vehicles."""
+@dataclass(slots=True)
+class RangeMemory:
+    """What is kept of one vehicle's ranges.
 
-    def __init__(self, settings: MeasurementSettings) -> None:
-        self._settings = settings
-        self._checks: defaultdict[int, RangeChecks] = defaultdict(RangeChecks)
-        self._sigmas_m: dict[int, float] = {}
+    `checks` are those of its ranging devices. `sigma_m` is the 1-sigma of its ranges of late, whichever end measured them, with
+    the errors of its peers' positions in it.
+    """
 
-    def forget(self, sysid: int) -> None:
-        """Forget the ranging devices of a vehicle; what those of others ranged of it is bounded by itself."""
-        self._checks.pop(sysid, None)
-        self._sigmas_m.pop(sysid, None)
+    checks: RangeChecks = field(default_factory=RangeChecks)
+    sigma_m: float | None = None
 
-    def build(
-        self, message: PeerRange, vehicle: ReportedState, peer: ReportedState | Station, measured: ServiceTime
-    ) -> BuiltRange:
-        """Build a range of a vehicle to another one or a station."""
-        checks = self._checks[message.sysid]
-        repeats = checks.of(message.peer, message.device_id).repeats
-        was_stuck, is_stuck = repeats.stuck, repeats.add(message.range_m, message.measured_at_s)
-        notice = _device_notice(message, is_stuck=is_stuck) if is_stuck is not was_stuck else None
-        if is_stuck:
-            return BuiltRange(None, notice, CoreRefusal.RANGE_REPEATED)
-        sigma_m = message.sigma_m if message.sigma_m is not None else self._settings.range_sigma_m
-        # A range locates either end, whichever of the two measured it; a station is where it is.
-        self._update_sigma(vehicle, hypot(sigma_m, self._position_sigma_m(peer)))
-        if not isinstance(peer, Station):
-            self._update_sigma(peer, hypot(sigma_m, self._position_sigma_m(vehicle)))
-        speed_mps, range_m = _relative_speed_mps(vehicle, peer), self._calibrated_m(message, peer)
-        late_m = speed_mps * measured.sigma_s
-        sigma_m = hypot(sigma_m, late_m)
-        if checks.has_jumped(message.peer, message.device_id, measured.at_s, range_m, sigma_m, speed_mps):
-            return BuiltRange(None, notice, CoreRefusal.RANGE_JUMPED)
-        by_own_clock = message.measured_at_s is not None and message.time_base is not TimeBase.SERVICE
-        measurement = RangeMeasurement(
-            from_vehicle=message.sysid,
-            to_vehicle=message.peer,
-            measured_at_s=measured.at_s,
-            arrived_at_s=message.received_at_s,
-            range_m=range_m,
-            sigma_m=sigma_m,
-            device_id=message.device_id,
-            clock_of=message.sysid if by_own_clock else None,
-            time_sigma_s=measured.sigma_s,
-            time_sigma_m=late_m,
-        )
-        return BuiltRange(measurement, notice)
+    def update_sigma(self, total_m: float) -> None:
+        """Update the 1-sigma with that of one range, m."""
+        before_m = self.sigma_m if self.sigma_m is not None else total_m
+        self.sigma_m = before_m + _SIGMA_GAIN * (total_m - before_m)
 
-    def sigma_m(self, sysid: int) -> float | None:
-        """Return the 1-sigma of a vehicle's ranges of late, with the errors of its peers' positions in it, m."""
-        return self._sigmas_m.get(sysid)
 
-    def _update_sigma(self, end: ReportedState, total_m: float) -> None:
-        before_m = self._sigmas_m.get(end.sysid, total_m)
-        self._sigmas_m[end.sysid] = before_m + _SIGMA_GAIN * (total_m - before_m)
+def build_range(
+    message: PeerRange,
+    vehicle: tuple[ReportedState, RangeMemory],
+    peer: tuple[ReportedState, RangeMemory] | Station,
+    measured: ServiceTime,
+    settings: MeasurementSettings,
+) -> BuiltRange:
+    """Build a range of a vehicle to another one or a station."""
+    state, memory = vehicle
+    peer_state = peer if isinstance(peer, Station) else peer[0]
+    repeats = memory.checks.of(message.peer, message.device_id).repeats
+    was_stuck, is_stuck = repeats.stuck, repeats.add(message.range_m, message.measured_at_s)
+    notice = _device_notice(message, is_stuck=is_stuck) if is_stuck is not was_stuck else None
+    if is_stuck:
+        return BuiltRange(None, notice, CoreRefusal.RANGE_REPEATED)
+    sigma_m = message.sigma_m if message.sigma_m is not None else settings.range_sigma_m
+    # A range locates either end, whichever of the two measured it; a station is where it is.
+    memory.update_sigma(hypot(sigma_m, _position_sigma_m(peer_state, settings)))
+    if not isinstance(peer, Station):
+        peer[1].update_sigma(hypot(sigma_m, _position_sigma_m(state, settings)))
+    speed_mps, range_m = _relative_speed_mps(state, peer_state), _calibrated_m(message, peer_state, settings)
+    late_m = speed_mps * measured.sigma_s
+    sigma_m = hypot(sigma_m, late_m)
+    if memory.checks.has_jumped(message.peer, message.device_id, measured.at_s, range_m, sigma_m, speed_mps):
+        return BuiltRange(None, notice, CoreRefusal.RANGE_JUMPED)
+    by_own_clock = message.measured_at_s is not None and message.time_base is not TimeBase.SERVICE
+    measurement = RangeMeasurement(
+        from_vehicle=message.sysid,
+        to_vehicle=message.peer,
+        measured_at_s=measured.at_s,
+        arrived_at_s=message.received_at_s,
+        range_m=range_m,
+        sigma_m=sigma_m,
+        device_id=message.device_id,
+        clock_of=message.sysid if by_own_clock else None,
+        time_sigma_s=measured.sigma_s,
+        time_sigma_m=late_m,
+    )
+    return BuiltRange(measurement, notice)
 
-    def _position_sigma_m(self, node: ReportedState | Station) -> float:
-        """Return the horizontal 1-sigma of where a vehicle says that it is, or where a station is, m."""
-        if isinstance(node, Station):
-            return node.position.sigma_h_m if node.position is not None else 0.0
-        return receiver_accuracy(node.receiver, self._settings).sigma_h_m
 
-    def _calibrated_m(self, message: PeerRange, peer: ReportedState | Station) -> float:
-        """Return the range without the lasting errors of both devices, as `gcs-coloc calibrate` finds them."""
-        biases, scales = self._settings.range_bias_m, self._settings.range_scale
-        of_station = (peer.range_bias_m, peer.range_scale) if isinstance(peer, Station) else (0.0, 0.0)
-        if not biases and not scales and not any(of_station):
-            return message.range_m
-        ends = (message.sysid, message.peer)
-        bias_m = sum(biases.get(end, 0.0) for end in ends) + of_station[0]
-        scale = sum(scales.get(end, 0.0) for end in ends) + of_station[1]
-        return max((message.range_m - bias_m) / (1.0 + scale), 0.0)
+def _position_sigma_m(node: ReportedState | Station, settings: MeasurementSettings) -> float:
+    """Return the horizontal 1-sigma of where a vehicle says that it is, or where a station is, m."""
+    if isinstance(node, Station):
+        return node.position.sigma_h_m if node.position is not None else 0.0
+    return receiver_accuracy(node.receiver, settings).sigma_h_m
+
+
+def _calibrated_m(message: PeerRange, peer: ReportedState | Station, settings: MeasurementSettings) -> float:
+    """Return the range without the lasting errors of both devices, as `gcs-coloc calibrate` finds them."""
+    biases, scales = settings.range_bias_m, settings.range_scale
+    of_station = (peer.range_bias_m, peer.range_scale) if isinstance(peer, Station) else (0.0, 0.0)
+    if not biases and not scales and not any(of_station):
+        return message.range_m
+    ends = (message.sysid, message.peer)
+    bias_m = sum(biases.get(end, 0.0) for end in ends) + of_station[0]
+    scale = sum(scales.get(end, 0.0) for end in ends) + of_station[1]
+    return max((message.range_m - bias_m) / (1.0 + scale), 0.0)
 
 
 def _device_notice(message: PeerRange, *, is_stuck: bool) -> Notice:

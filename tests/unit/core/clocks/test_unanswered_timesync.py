@@ -61,7 +61,7 @@ def test_what_its_utc_shows_is_told_and_used_before_and_after_its_gps_is_lost():
     assert "by its UTC its link is 0.50 s late, give or take 0.08 s" in notices[0].text
     for vehicle in engine.snapshot(40.0).vehicles:
         assert (vehicle.clock_method, vehicle.clock_sigma_s) == ("UTC", pytest.approx(0.08, abs=0.001))
-    assert engine.measurements.reported[1].measured_at_s == pytest.approx(39.4)
+    assert engine.measurements.reported(1).measured_at_s == pytest.approx(39.4)
 
 
 def test_the_utc_of_a_vehicle_without_gps_shows_nothing():

@@ -83,10 +83,10 @@ def test_airspeed_goes_with_the_attitude_only_while_it_is_fresh():
     assert fresh is not None
     assert stale is not None
     assert (fresh.airspeed_mps, stale.airspeed_mps) == (22.0, None)
-    assert feed.attitude_at_s[4] == fresh.measured_at_s
+    assert feed.attitude_at_s(4) == fresh.measured_at_s
     record.airspeed = Airspeed(4, 11.5, 22.0)
     feed.attitude(Attitude(4, 11.6, 11.2, 0.1, 0.2, 0.3), record)
-    assert feed.attitude_at_s[4] == pytest.approx(11.2, abs=0.05)  # it was under way for 0.4 s
+    assert feed.attitude_at_s(4) == pytest.approx(11.2, abs=0.05)  # it was under way for 0.4 s
     assert (fresh.roll_rad, fresh.pitch_rad, fresh.yaw_rad) == (0.1, 0.2, 0.3)
 
 
