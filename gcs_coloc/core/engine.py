@@ -122,8 +122,6 @@ class Engine:
         self._now_s = float("-inf")
         self._review_due_s = float("inf")
         self._review_schedule = TickSchedule(0.0)
-        self._transmits = True
-        self._is_held_back = False
         self._update_host_inhibit()
 
     def receive(self, message: Inbound) -> None:
@@ -186,21 +184,21 @@ class Engine:
         out, self._outbox = self._outbox, []
         utc_minus_service_s = self._utc_minus_service_s()
         out.extend(self.aiding.poll(now_s, review.fix_inputs, self.frame, utc_minus_service_s, review.estimate_to_send))
-        return [output for output in out if not isinstance(output, ChangesVehicle)] if self._is_held_back else out
+        return [output for output in out if not isinstance(output, ChangesVehicle)] if self.aiding.is_held_back else out
 
     def next_deadline(self) -> float:
         """Return the service time by which `poll` is to be called; infinity before the first message."""
-        review_s, aiding_s = self._review_due_s, self.aiding.next_due_s()
+        review_s, aiding_s = self._review_due_s, self.aiding.next_due_s
         return review_s if review_s < aiding_s else aiding_s
 
     def next_aid_s(self) -> float:
         """Return the service time at which the next aiding message is due; infinity where nobody is aided."""
-        return self.aiding.next_due_s()
+        return self.aiding.next_due_s
 
     def close(self) -> list[ToVehicle]:
         """Return the last messages: fix_type 1 to everyone who is aided, and restored parameters."""
         last = self.aiding.close()
-        return [] if self._is_held_back else last
+        return [] if self.aiding.is_held_back else last
 
     def refused(self) -> dict[str, int]:
         """Return how often what was refused since the start, by the value of `CoreRefusal`."""
@@ -299,7 +297,7 @@ class Engine:
                 return
 
     def _request_time(self, vehicle: ReportedState, now_s: float) -> None:
-        if self._transmits:
+        if self.aiding.transmits:
             notice = self.clocks.report_unanswered(vehicle.sysid, vehicle.first_heard_s, now_s)
             if notice is not None:
                 self._outbox.append(notice)
@@ -323,10 +321,8 @@ class Engine:
                     for vehicle in self.telemetry:
                         self._outbox.extend(self._review.decide_aiding(vehicle, at_s))
             case TransmitDisabled():
-                self._transmits = False
                 self.aiding.disable_transmit()
             case HoldBack():
-                self._is_held_back = message.held
                 self.aiding.hold_back(held=message.held)
             case SwitchedByOther():
                 self.aiding.add_switched(message)

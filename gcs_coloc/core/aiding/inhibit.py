@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from gcs_coloc.core.aiding.parameters import Parameters
 from gcs_coloc.core.aiding.receiver_switch import GPS_PRIMARY
-from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.messages.control import NO_HEARTBEAT_YET, ForeignGpsInput
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.core.reasons import DOCTOR_NAMES_SETTINGS, DUPLICATE_ID_WORDING, StatedReason, WordedReason
@@ -68,148 +67,91 @@ Inhibit = StatedReason[InhibitReason]
 """Why a vehicle is not aided, with the numbers of it."""
 
 
-@dataclass(slots=True)
-class _Other:
-    sender: int
-    heard_at_s: float
-    reported: bool = False
-
-
-class ForeignGpsInputMonitor:
-    """Which vehicles get GPS_INPUT from another sender for the receiver that we feed.
-
-    A sender that feeds another receiver of the vehicle does not matter.
-    """
-
-    def __init__(self, settings: AidingSettings) -> None:
-        self._gps_id = settings.gps_id
-        self._stand_down_s = settings.stand_down_s
-        self._others: dict[int, _Other] = {}
-
-    def forget(self, sysid: int) -> None:
-        """Forget who else feeds a vehicle."""
-        self._others.pop(sysid, None)
-
-    def add(self, message: ForeignGpsInput) -> None:
-        """Add one message."""
-        if message.vehicle is None or message.gps_id != self._gps_id:
-            return
-        other = self._others.get(message.vehicle)
-        if other is None:
-            self._others[message.vehicle] = _Other(message.sysid, message.received_at_s)
-        else:
-            other.sender, other.heard_at_s = message.sysid, message.received_at_s
-
-    def review(self, sysid: int, now_s: float) -> list[Notice]:
-        """Return the notice that is due about another sender of GPS_INPUT to a vehicle.
-
-        One is due when the sender is heard first, and one when it has been silent for `stand_down_s`.
-        """
-        other = self._others.get(sysid)
-        if other is None:
-            return []
-        if now_s - other.heard_at_s > self._stand_down_s:
-            del self._others[sysid]
-            return [Notice(now_s, sysid, "info", f"nobody else has sent it GPS_INPUT for {self._stand_down_s:g} s")]
-        if other.reported:
-            return []
-        other.reported = True
-        inhibit = Inhibit(InhibitReason.FOREIGN_GPS_INPUT, other.sender, self._gps_id)
-        return [Notice(now_s, sysid, "error", f"{inhibit.text}: ours stands down")]
-
-    def inhibit(self, sysid: int) -> Inhibit | None:
-        """Return why a vehicle is not aided; None where nobody else feeds it."""
-        other = self._others.get(sysid)
-        return Inhibit(InhibitReason.FOREIGN_GPS_INPUT, other.sender, self._gps_id) if other is not None else None
-
-
 _HEARTBEAT_WITHIN_S = 3.0  # autopilots send one each second
 _AUTO_SWITCH = "GPS_AUTO_SWITCH"
 _STAYS_WITH_ITS_OWN = (0.0, 4.0)  # the primary receiver only; the primary one while it has a 3D fix
 
 
-class Standby:
-    """Which healthy vehicles may be streamed their own estimate (standby).
+@dataclass(slots=True)
+class VehicleInhibits:
+    """Why one vehicle is not aided or gets no standby, as its last reviews found and told it.
 
-    They then arm with the receiver that we feed, and fail over to it without a gap.
-
-    Standby is safe only while the autopilot stays with its own receiver. One that may change over to ours would report our
-    estimate as its own position, and the estimate would then confirm itself. So the parameters of the vehicle are read first.
+    `obstacle`: why it got no stream on standby. Standby is safe only while the autopilot stays with its own receiver. One that
+    may change over to ours would report our estimate as its own position, and the estimate would then confirm itself.
     """
 
-    def __init__(self, gps_id: int, parameters: Parameters) -> None:
-        self._gps_id = gps_id
-        self._parameters = parameters
-        self._obstacles: dict[int, Inhibit] = {}
+    obstacle: Inhibit | None = None
+    _foreign: ForeignGpsInput | None = None
+    _is_foreign_told: bool = False
+    _alarm: Inhibit | None = None
 
-    def forget(self, sysid: int) -> None:
-        """Forget why a vehicle got no stream."""
-        self._obstacles.pop(sysid, None)
+    def add_foreign(self, message: ForeignGpsInput) -> None:
+        """Add GPS_INPUT from another sender for the receiver that we feed."""
+        self._foreign = message
 
-    def review(self, sysid: int, now_s: float) -> tuple[Inhibit | None, list[Notice]]:
-        """Return why a vehicle gets no stream on standby, and the notice of that.
+    @property
+    def foreign(self) -> Inhibit | None:
+        """Why it is not aided while somebody else feeds it; None where nobody does."""
+        other = self._foreign
+        return Inhibit(InhibitReason.FOREIGN_GPS_INPUT, other.sysid, other.gps_id) if other is not None else None
 
-        None where it may have one. The notice comes once for each reason.
+    def review_foreign(self, sysid: int, stand_down_s: float, now_s: float) -> list[Notice]:
+        """Return the notice that is due about another sender of GPS_INPUT.
+
+        One is due when the sender is heard first, and one when it has been silent for `stand_down_s`.
         """
+        if self._foreign is None:
+            return []
+        if now_s - self._foreign.received_at_s > stand_down_s:
+            self._foreign, self._is_foreign_told = None, False
+            return [Notice(now_s, sysid, "info", f"nobody else has sent it GPS_INPUT for {stand_down_s:g} s")]
+        if self._is_foreign_told or self.foreign is None:
+            return []
+        self._is_foreign_told = True
+        return [Notice(now_s, sysid, "error", f"{self.foreign.text}: ours stands down")]
+
+    def review_standby(self, sysid: int, parameters: Parameters, gps_id: int, now_s: float) -> list[Notice]:
+        """Review `obstacle` by the vehicle's parameters; return its notice, once for each reason."""
         for name in (_AUTO_SWITCH, GPS_PRIMARY):
-            self._parameters.request(sysid, name, now_s)
-        obstacle, before = self._obstacle(sysid), self._obstacles.pop(sysid, None)
-        if obstacle is None:
-            return None, []
-        self._obstacles[sysid] = obstacle
-        if obstacle == before or obstacle.reason is InhibitReason.STANDBY_UNKNOWN:
-            return obstacle, []
-        return obstacle, [Notice(now_s, sysid, "warning", f"no standby: {obstacle.text}")]
+            parameters.request(sysid, name, now_s)
+        before, self.obstacle = self.obstacle, _standby_obstacle(sysid, parameters, gps_id)
+        if self.obstacle in (None, before) or self.obstacle.reason is InhibitReason.STANDBY_UNKNOWN:
+            return []
+        return [Notice(now_s, sysid, "warning", f"no standby: {self.obstacle.text}")]
 
-    def obstacle(self, sysid: int) -> Inhibit | None:
-        """Return why a vehicle got no stream on standby at its last review; None where it might."""
-        return self._obstacles.get(sysid)
+    def restart_alarm(self) -> None:
+        """Raise the alarm again where it still holds."""
+        self._alarm = None
 
-    def _obstacle(self, sysid: int) -> Inhibit | None:
-        switching, primary = (self._parameters.value(sysid, name) for name in (_AUTO_SWITCH, GPS_PRIMARY))
-        if switching is None or primary is None:
-            return Inhibit(InhibitReason.STANDBY_UNKNOWN)
-        if primary == self._gps_id:
-            return Inhibit(InhibitReason.STANDBY_OURS_FIRST, primary)
-        return Inhibit(InhibitReason.STANDBY_MAY_SWITCH, switching) if switching not in _STAYS_WITH_ITS_OWN else None
-
-
-class InhibitAlarms:
-    """The alarms that a vehicle needs aiding and cannot have it, one for each reason.
-
-    A service that takes over raises them again.
-    """
-
-    def __init__(self) -> None:
-        self._reported: dict[int, Inhibit | None] = {}
-
-    def forget(self, sysid: int) -> None:
-        """Forget what was told of a vehicle."""
-        self._reported.pop(sysid, None)
-
-    def restart(self) -> None:
-        """Tell again what holds."""
-        self._reported.clear()
-
-    def review(
+    def review_alarm(
         self, vehicle: ReportedState, inhibit: Inhibit | None, now_s: float, *, needs_aid: bool, is_held_back: bool
     ) -> list[Notice]:
-        """Return the alarm that is due.
+        """Return the alarm that is due: the vehicle needs aiding and cannot have it, once for each reason.
 
         A vehicle is given the time for its heartbeat, and to tell its parameters.
 
         `is_held_back`: the other service of a hot standby sends, and may be able to.
         """
-        sysid, before = vehicle.sysid, self._reported.get(vehicle.sysid)
-        is_new = inhibit is not None and inhibit.reason is InhibitReason.NO_HEARTBEAT
-        is_new = is_new and now_s - vehicle.first_heard_s < _HEARTBEAT_WITHIN_S
-        is_asked = inhibit is not None and inhibit.reason is InhibitReason.PX4_METHOD_UNKNOWN
         if not needs_aid:
-            self._reported.pop(sysid, None)
-        elif inhibit != before and not is_new and not is_asked:
-            self._reported[sysid] = inhibit
-            if inhibit is not None and is_held_back:
-                return [Notice(now_s, sysid, "warning", f"needs aid, and this service could not aid it: {inhibit.text}")]
-            if inhibit is not None:
-                return [Notice(now_s, sysid, "error", f"needs aid and cannot be aided: {inhibit.text}")]
-        return []
+            self._alarm = None
+            return []
+        if inhibit is not None and (
+            inhibit.reason is InhibitReason.PX4_METHOD_UNKNOWN
+            or (inhibit.reason is InhibitReason.NO_HEARTBEAT and now_s - vehicle.first_heard_s < _HEARTBEAT_WITHIN_S)
+        ):
+            return []
+        before, self._alarm = self._alarm, inhibit
+        if inhibit is None or inhibit == before:
+            return []
+        if is_held_back:
+            return [Notice(now_s, vehicle.sysid, "warning", f"needs aid, and this service could not aid it: {inhibit.text}")]
+        return [Notice(now_s, vehicle.sysid, "error", f"needs aid and cannot be aided: {inhibit.text}")]
+
+
+def _standby_obstacle(sysid: int, parameters: Parameters, gps_id: int) -> Inhibit | None:
+    switching, primary = (parameters.value(sysid, name) for name in (_AUTO_SWITCH, GPS_PRIMARY))
+    if switching is None or primary is None:
+        return Inhibit(InhibitReason.STANDBY_UNKNOWN)
+    if primary == gps_id:
+        return Inhibit(InhibitReason.STANDBY_OURS_FIRST, primary)
+    return Inhibit(InhibitReason.STANDBY_MAY_SWITCH, switching) if switching not in _STAYS_WITH_ITS_OWN else None

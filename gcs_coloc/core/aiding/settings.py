@@ -63,9 +63,13 @@ class AidingSettings:
     ek3_check_scale: float = positive(150.0)
     """The vehicle's parameter EK3_CHECK_SCALE, percent, until the vehicle has reported it. ArduPilot's default is 150."""
 
+    def method_of(self, sysid: int) -> AidingMethodName:
+        """Return the method that is set for a vehicle."""
+        return self.methods.get(sysid, self.method)
+
     def hands_over_ranges(self, sysid: int) -> bool:
         """Return whether a vehicle is handed ranges."""
-        return self.methods.get(sysid, self.method) == "ranging_beacon"
+        return self.method_of(sysid) == "ranging_beacon"
 
     def __post_init__(self) -> None:
         check_bounds(self)

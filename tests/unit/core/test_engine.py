@@ -276,9 +276,9 @@ def test_a_late_poll_skips_what_it_missed_and_keeps_the_grid():
     grid_s = aids(out, 4)[0][0]
     late = engine.poll(9.234)
     assert len([o for o in late if isinstance(o, GpsInput)]) == 1
-    phase = (engine.aiding.next_due_s() - grid_s) / 0.1
+    phase = (engine.aiding.next_due_s - grid_s) / 0.1
     assert phase == pytest.approx(round(phase), abs=1e-6)
-    assert 9.234 < engine.aiding.next_due_s() <= 9.334
+    assert 9.234 < engine.aiding.next_due_s <= 9.334
 
 
 def test_missing_streams_are_asked_for_ever_less_often_and_at_once_after_a_reboot():

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from gcs_coloc.core.aiding.inhibit import Inhibit
@@ -24,7 +24,7 @@ from gcs_coloc.core.reasons import CoreRefusal
 class MethodContext:
     """What an aiding method of one vehicle is made from.
 
-    `refused` counts what vehicles refuse. `origins` are the origins that vehicles report of their local frames, by system id.
+    `refused` counts what vehicles refuse. `origin` returns what the vehicle has reported of its local frame's origin.
     """
 
     sysid: int
@@ -32,7 +32,7 @@ class MethodContext:
     settings: AidingSettings
     parameters: Parameters
     refused: Counter[CoreRefusal]
-    origins: Mapping[int, GlobalOrigin]
+    origin: Callable[[], GlobalOrigin | None]
 
 
 @dataclass(frozen=True, slots=True)

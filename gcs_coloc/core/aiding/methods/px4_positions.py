@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from math import acos, cos, exp, log, radians, sin, sqrt
 
 import numpy as np
@@ -116,15 +117,16 @@ class VisionPositionMethod(_FusedPosition):
 
     def __init__(self, context: MethodContext) -> None:
         super().__init__(context)
-        self._origins = context.origins
+        self._origin = context.origin
 
     def _is_ready(self) -> bool:
-        return self._sysid in self._origins
+        return self._origin() is not None
 
     def _message(
         self, time_usec: int, geodetic: tuple[float, float, float], sigma_h_m: float, sigma_v_m: float
     ) -> VisionPosition:
-        origin = self._origins[self._sysid]
+        origin = self._origin()
+        assert origin is not None
         lat_deg, lon_deg, alt_msl_m = geodetic
         north_m, east_m = px4_local_m(origin, lat_deg, lon_deg)
         variance_m2 = (sigma_h_m**2, sigma_h_m**2, sigma_v_m**2)
@@ -163,36 +165,16 @@ def px4_method(value: Callable[[str], float | None]) -> AidingMethodName:
 
 
 class Px4Methods:
-    """The method of each PX4 of one fleet."""
+    """The method of each PX4 of one fleet, by its parameters."""
 
     def __init__(self, parameters: Parameters) -> None:
-        self.origins: dict[int, GlobalOrigin] = {}
         self._parameters = parameters
-        self._origin_due_s: dict[int, float] = {}
 
-    def review(self, sysid: int, chosen: AidingMethodName, now_s: float) -> list[OriginRequest]:
-        """Request what a vehicle's method needs; return the request for its origin, if one is due.
-
-        Where `chosen` is "auto", parameters are requested until they show a method. Vision positions need the origin.
-        """
-        if chosen == "auto":
-            if self.method(sysid) == "auto" or not self._answered(sysid):
-                for name in self._names(sysid):
-                    self._parameters.request(sysid, name, now_s)
-            chosen = self.method(sysid)
-        if chosen != "vision_position" or now_s < self._origin_due_s.get(sysid, now_s):
-            return []
-        self._origin_due_s[sysid] = now_s + (_ORIGIN_FRESH_S if sysid in self.origins else _ORIGIN_RETRY_S)
-        return [OriginRequest(sysid)]
-
-    def add_origin(self, origin: GlobalOrigin) -> None:
-        """Add the origin that a vehicle reports."""
-        self.origins[origin.sysid] = origin
-
-    def forget(self, sysid: int) -> None:
-        """Forget the origin of a vehicle that was rebooted."""
-        self.origins.pop(sysid, None)
-        self._origin_due_s.pop(sysid, None)
+    def request(self, sysid: int, now_s: float) -> None:
+        """Request the parameters that decide on a vehicle's method, until they show one."""
+        if self.method(sysid) == "auto" or not self._answered(sysid):
+            for name in self._names(sysid):
+                self._parameters.request(sysid, name, now_s)
 
     def method(self, sysid: int) -> AidingMethodName:
         """Return the method of a vehicle; "auto" where it takes none, or has not shown yet which.
@@ -215,3 +197,18 @@ class Px4Methods:
         # A slot exists where the first one does; most vehicles use that.
         slots = AGP_SLOTS if self._parameters.value(sysid, AGP_CONTROL.format(0)) is not None else AGP_SLOTS[:1]
         return [*(name.format(slot) for slot in slots for name in (AGP_CONTROL, AGP_ID)), EV_CONTROL]
+
+
+@dataclass(slots=True)
+class LocalOrigin:
+    """The origin of one PX4's local frame, as it has reported it, and when it is requested next."""
+
+    reported: GlobalOrigin | None = None
+    _due_s: float = float("-inf")
+
+    def request(self, sysid: int, now_s: float) -> list[OriginRequest]:
+        """Return the request for it, if one is due."""
+        if now_s < self._due_s:
+            return []
+        self._due_s = now_s + (_ORIGIN_FRESH_S if self.reported is not None else _ORIGIN_RETRY_S)
+        return [OriginRequest(sysid)]

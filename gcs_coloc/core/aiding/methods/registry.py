@@ -71,7 +71,7 @@ def method_for(
 
     "auto" is ArduPilot's; it remains for a vehicle of which no method is known, which `mismatch` refuses.
     """
-    name = settings.methods.get(sysid, settings.method)
+    name = settings.method_of(sysid)
     return px4(sysid) if name == "auto" and autopilot is Autopilot.PX4 else name
 
 

@@ -76,7 +76,7 @@ def moment(
 
 
 def method() -> RangingBeaconMethod:
-    return RangingBeaconMethod(MethodContext(4, 0.0, AidingSettings(), Parameters(), Counter(), {}))
+    return RangingBeaconMethod(MethodContext(4, 0.0, AidingSettings(), Parameters(), Counter(), lambda: None))
 
 
 def sent(built) -> RangingBeacon | None:
