@@ -6,9 +6,9 @@ It has the newest residual of each pair, and each vehicle's consistency. `RangeJ
 from __future__ import annotations
 
 from bisect import bisect_left, insort
-from collections import Counter, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from math import hypot
 
@@ -182,10 +182,30 @@ def _band_95(count: int) -> tuple[float, float]:
     return low, high
 
 
-@dataclass(frozen=True, slots=True)
-class _Jump:
-    at_s: float
-    size_m: float
+@dataclass(slots=True)
+class _Device:
+    """What the ranges of one vehicle's device have shown.
+
+    `peers`: when each of them was ranged last. `refused`: the ranges that were refused in a row. `jump_m`: by what length all of
+    them were off at last, at `jumped_at_s`.
+    """
+
+    peers: dict[int, float] = field(default_factory=dict)
+    refused: deque[Residual] = field(default_factory=lambda: deque(maxlen=_JUMP_KEPT))
+    jump_m: float = 0.0
+    jumped_at_s: float = float("-inf")
+
+    def has_jumped(self, newest: Residual) -> bool:
+        """Return whether all peers heard of late were refused by one length, up to the newest range."""
+        heard = {peer for peer, at_s in self.peers.items() if newest.measured_at_s - at_s <= _JUMP_HEARD_S}
+        missing: set[int | None] = set(heard)
+        for count, r in enumerate(reversed(self.refused), start=1):
+            if abs(r.innovation_m - newest.innovation_m) > _JUMP_ALIKE_SIGMAS * hypot(r.sigma_m, newest.sigma_m):
+                return False
+            missing -= {r.to_vehicle}
+            if not missing and count >= _JUMP_RANGES:
+                return len(heard) >= _JUMP_PEERS
+        return False
 
 
 class RangeJumps:
@@ -200,46 +220,35 @@ class RangeJumps:
     """
 
     def __init__(self) -> None:
-        self._refused: dict[int, deque[Residual]] = {}
-        self._peers: dict[int, dict[int, float]] = {}
-        self._jumps: dict[int, _Jump] = {}
+        self._devices: defaultdict[int, _Device] = defaultdict(_Device)
 
     def forget(self, vehicle: int) -> None:
         """Forget a vehicle, as one that measures and as a peer."""
-        self._refused.pop(vehicle, None)
-        self._jumps.pop(vehicle, None)
-        self._peers.pop(vehicle, None)
-        for peers in self._peers.values():
-            peers.pop(vehicle, None)
+        self._devices.pop(vehicle, None)
+        for device in self._devices.values():
+            device.peers.pop(vehicle, None)
 
     def add(self, residuals: Iterable[Residual], now_s: float) -> None:
         """Add what the estimator made of ranges, in the order in which it used them."""
         for r in residuals:
             if r.to_vehicle is None:
                 continue
-            self._peers.setdefault(r.from_vehicle, {})[r.to_vehicle] = r.measured_at_s
+            device = self._devices[r.from_vehicle]
+            device.peers[r.to_vehicle] = r.measured_at_s
             if r.refused is None:
-                self._refused.pop(r.from_vehicle, None)
-            else:
-                self._refused.setdefault(r.from_vehicle, deque(maxlen=_JUMP_KEPT)).append(r)
-                if self._all_by_one_length(r):
-                    self._jumps[r.from_vehicle] = _Jump(now_s, r.innovation_m)
+                device.refused.clear()
+                continue
+            device.refused.append(r)
+            if device.has_jumped(r):
+                device.jump_m, device.jumped_at_s = r.innovation_m, now_s
 
     def sizes_m(self, now_s: float) -> dict[int, float]:
         """Return by what length all ranges of a vehicle jumped within the last second, m.
 
         Vehicles whose ranges did not are left out.
         """
-        self._jumps = {vehicle: jump for vehicle, jump in self._jumps.items() if now_s - jump.at_s <= _JUMP_REMEMBERED_S}
-        return {vehicle: jump.size_m for vehicle, jump in self._jumps.items()}
-
-    def _all_by_one_length(self, newest: Residual) -> bool:
-        heard = {peer for peer, at_s in self._peers[newest.from_vehicle].items() if newest.measured_at_s - at_s <= _JUMP_HEARD_S}
-        missing: set[int | None] = set(heard)
-        for count, r in enumerate(reversed(self._refused[newest.from_vehicle]), start=1):
-            if abs(r.innovation_m - newest.innovation_m) > _JUMP_ALIKE_SIGMAS * hypot(r.sigma_m, newest.sigma_m):
-                return False
-            missing -= {r.to_vehicle}
-            if not missing and count >= _JUMP_RANGES:
-                return len(heard) >= _JUMP_PEERS
-        return False
+        return {
+            vehicle: device.jump_m
+            for vehicle, device in self._devices.items()
+            if now_s - device.jumped_at_s <= _JUMP_REMEMBERED_S
+        }

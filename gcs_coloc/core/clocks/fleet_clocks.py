@@ -64,6 +64,7 @@ class _Clocks:
     ranging: dict[tuple[TimeBase, int], _RangeClock] = field(default_factory=dict)
     utc_minus_service_s: float | None = None
     unanswered_reported: set[str] = field(default_factory=set)
+    has_duplicate_id: bool = False
 
 
 class FleetClocks:
@@ -83,7 +84,6 @@ class FleetClocks:
         self._clocks: dict[int, _Clocks] = {}
         self.host_lag_s = 0.0
         self._utc = Utc(required=self.settings.require_synchronised_clock)
-        self._duplicate_ids: set[int] = set()
 
     def boot_clock(self, sysid: int) -> VehicleClock:
         """Return the boot clock of a vehicle's autopilot."""
@@ -92,7 +92,6 @@ class FleetClocks:
     def forget(self, sysid: int) -> None:
         """Forget the clocks of a vehicle that makes room for another one."""
         self._clocks.pop(sysid, None)
-        self._duplicate_ids.discard(sysid)
 
     def set_host_clock(self, message: ClockReference) -> list[Notice]:
         """Set what the host says of its clock; return notices for the operator."""
@@ -217,18 +216,18 @@ class FleetClocks:
 
     def review_duplicate_id(self, sysid: int, now_s: float) -> Notice | None:
         """Review whether two autopilots use one system id; return a notice where that has changed."""
-        detected = self._of(sysid).boot.duplicates.detected(now_s)
-        if detected == (sysid in self._duplicate_ids):
+        clocks = self._of(sysid)
+        before, clocks.has_duplicate_id = clocks.has_duplicate_id, clocks.boot.duplicates.detected(now_s)
+        if clocks.has_duplicate_id == before:
             return None
-        self._duplicate_ids ^= {sysid}
-        if detected:
+        if clocks.has_duplicate_id:
             text = f"{DUPLICATE_ID_WORDING}; nothing is sent to them, and no position of theirs is used"
             return Notice(now_s, sysid, "error", text)
         return Notice(now_s, sysid, "info", "only one autopilot uses its system id any more")
 
     def has_duplicate_id(self, sysid: int) -> bool:
         """Return whether two autopilots used one system id at the last review."""
-        return sysid in self._duplicate_ids
+        return self._of(sysid).has_duplicate_id
 
     def knows_delay(self, sysid: int, now_s: float) -> bool:
         """Return whether TIMESYNC, UTC or a setting shows how late a vehicle's link is.

@@ -62,19 +62,15 @@ class HeldMotion:
         return HeldMotion(self.position, other.velocity, other.turn_radps) if is_formation else self
 
 
-class TurnRates:
-    """The turn rate of each vehicle, from its velocities of the last seconds."""
+class TurnRate:
+    """The turn rate of one vehicle, from its velocities of the last seconds."""
 
     def __init__(self) -> None:
-        self._courses: dict[int, deque[tuple[float, float]]] = {}
+        self._courses: deque[tuple[float, float]] = deque()
 
-    def forget(self, vehicle: int) -> None:
-        """Forget the velocities of a vehicle."""
-        self._courses.pop(vehicle, None)
-
-    def add(self, vehicle: int, at_s: float, east_mps: float, north_mps: float) -> None:
+    def add(self, at_s: float, east_mps: float, north_mps: float) -> None:
         """Add a velocity over ground; without a course the vehicle turns no more."""
-        courses = self._courses.setdefault(vehicle, deque())
+        courses = self._courses
         if hypot(east_mps, north_mps) < _LEAST_SPEED_MPS:
             courses.clear()
             return
@@ -82,9 +78,10 @@ class TurnRates:
         while at_s - courses[0][0] > _OVER_S:
             courses.popleft()
 
-    def of(self, vehicle: int) -> float:
-        """Return the turn rate of a vehicle, rad/s clockwise; 0 where it is not known."""
-        courses = self._courses.get(vehicle)
+    @property
+    def radps(self) -> float:
+        """The turn rate, rad/s clockwise; 0 where it is not known."""
+        courses = self._courses
         if not courses or courses[-1][0] - courses[0][0] < _LEAST_SPAN_S:
             return 0.0
         turned, before = 0.0, courses[0][1]

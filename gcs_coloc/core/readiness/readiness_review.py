@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from math import hypot, inf
 
@@ -17,7 +17,7 @@ from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch
 from gcs_coloc.core.integrity.fix_check import star
 from gcs_coloc.core.integrity.protection_level import Exposure, ProtectionSettings
 from gcs_coloc.core.measurements import PositionMeasurement, RangeMeasurement
-from gcs_coloc.core.readiness.held_motion import TurnRates
+from gcs_coloc.core.readiness.held_motion import TurnRate
 from gcs_coloc.core.readiness.loss_forecast import LossSituation, forecast
 from gcs_coloc.core.readiness.vehicle_readiness import HORIZON_S, Limit, LimitingReason, ReadinessState, VehicleReadiness
 from gcs_coloc.core.schedule import SAME_S
@@ -121,28 +121,33 @@ class _Sortie:
     was_located: bool = False
 
 
+@dataclass(slots=True)
+class _Vehicle:
+    """What is kept of one vehicle: `followed` while its GPS is healthy, a `sortie` while it is armed."""
+
+    followed: _Followed | None = None
+    sortie: _Sortie | None = None
+    turns: TurnRate = field(default_factory=TurnRate)
+
+
 class ReadinessReview:
     """The readiness of all healthy vehicles of a fleet, kept up to date by `due` and `review`."""
 
     def __init__(self, estimator: GuardedEstimator, aiding: AidingSettings, protection: ProtectionSettings) -> None:
         self._estimator = estimator
         self._aiding, self._protection = aiding, protection
-        self._followed: dict[int, _Followed] = {}
-        self._sorties: dict[int, _Sortie] = {}
+        self._vehicles: defaultdict[int, _Vehicle] = defaultdict(_Vehicle)
         self._predicted_at_s = -inf
-        self._turns = TurnRates()
         self._turns_at_s = -inf
 
     def forget(self, sysid: int) -> None:
         """Forget a vehicle that makes room for another one."""
-        self._followed.pop(sysid, None)
-        self._sorties.pop(sysid, None)
-        self._turns.forget(sysid)
+        self._vehicles.pop(sysid, None)
 
     def of(self, sysid: int) -> VehicleReadiness | None:
         """Return the readiness of a vehicle; None while its GPS is not healthy, and until it was predicted."""
-        followed = self._followed.get(sysid)
-        return followed.stated if followed is not None else None
+        kept = self._vehicles.get(sysid)
+        return kept.followed.stated if kept is not None and kept.followed is not None else None
 
     def due(self, vehicles: Iterable[ReportedState], is_healthy: Callable[[int], bool], now_s: float) -> ReportedState | None:
         """Return the vehicle to be predicted now, None where there is none; forget those that are not healthy."""
@@ -151,14 +156,14 @@ class ReadinessReview:
         if are_turns_due:
             self._turns_at_s = now_s
         for vehicle in vehicles:
-            self._update_sortie(vehicle)
+            kept = self._vehicles[vehicle.sysid]
+            kept.sortie = _sortie(kept.sortie, vehicle)
             if are_turns_due and vehicle.position is not None:
-                self._turns.add(vehicle.sysid, now_s, vehicle.position.ve_mps, vehicle.position.vn_mps)
-            followed = self._followed.get(vehicle.sysid)
+                kept.turns.add(now_s, vehicle.position.ve_mps, vehicle.position.vn_mps)
             if not is_healthy(vehicle.sysid):
-                self._followed.pop(vehicle.sysid, None)
+                kept.followed = None
                 continue
-            due_s = followed.due_s if followed is not None else vehicle.first_heard_s + _BEGUN_AFTER_S
+            due_s = kept.followed.due_s if kept.followed is not None else vehicle.first_heard_s + _BEGUN_AFTER_S
             if first is None or due_s < first_due_s:
                 first, first_due_s = vehicle, due_s
         return first if first_due_s <= now_s and now_s - self._predicted_at_s >= _SPACING_S - SAME_S else None
@@ -170,14 +175,19 @@ class ReadinessReview:
         if inputs.not_aided is not None and found.state is not ReadinessState.UNKNOWN:
             limit = Limit(LimitingReason.NOT_AIDED, detail=inputs.not_aided)
             found.state, found.reason, found.text = ReadinessState.NOT_READY, limit.reason.code, limit.text
-        self._state(vehicle.sysid, found, now_s)
+        kept = self._vehicles[vehicle.sysid]
+        kept.followed = _followed(kept.followed, found, now_s)
+        now, sortie = kept.followed.stated, kept.sortie
+        if sortie is not None:
+            sortie.was_located |= now.state in (ReadinessState.READY, ReadinessState.DEGRADED)
+            now.is_lost = sortie.is_flying and sortie.was_located and now.state is ReadinessState.NOT_READY
 
     def _predict(self, sysid: int, now_s: float, inputs: ReadinessInputs) -> VehicleReadiness:
         ranges, node, epoch = inputs.ranges, inputs.node, inputs.epoch
         others = {m.other_end(sysid) for m in ranges}
         peers = {other: reported for other in sorted(others) if (reported := node(other)) is not None}
         used = [m for m in ranges if m.to_vehicle in peers or m.from_vehicle in peers]
-        turns_radps = {vehicle: self._turns.of(vehicle) for vehicle in (sysid, *peers)}
+        turns_radps = {node: self._vehicles[node].turns.radps for node in (sysid, *peers) if node in self._vehicles}
         query = LossQuery(sysid, now_s, HORIZON_S, used, turns_radps, inputs.height_sigma_m)
         answers = self._estimator.predict_loss(query)
         if answers is None:
@@ -194,35 +204,32 @@ class ReadinessReview:
         )
         return forecast(situation, answers, self._aiding, self._protection)
 
-    def _state(self, sysid: int, found: VehicleReadiness, now_s: float) -> None:
-        """State what was found, but a change of state only once it has lasted."""
-        followed = self._followed.get(sysid)
-        if followed is None:
-            followed = self._followed[sysid] = _Followed(found, now_s)
-        followed.predicted_at_s = now_s
-        if found.state is followed.stated.state:
-            followed.stated, followed.other = found, None
-        else:
-            if followed.other is not found.state:
-                followed.other, followed.other_since_s = found.state, now_s
-            lasts_s = _RECOVERED_AFTER_S if followed.stated.is_lost else _CONFIRMED_AFTER_S
-            if now_s - followed.other_since_s >= lasts_s - SAME_S:
-                followed.stated, followed.other = found, None
-        now, sortie = followed.stated, self._sorties.get(sysid)
-        if sortie is not None:
-            sortie.was_located |= now.state in (ReadinessState.READY, ReadinessState.DEGRADED)
-            now.is_lost = sortie.is_flying and sortie.was_located and now.state is ReadinessState.NOT_READY
 
-    def _update_sortie(self, vehicle: ReportedState) -> None:
-        position = vehicle.position
-        if not vehicle.armed or position is None:
-            self._sorties.pop(vehicle.sysid, None)
-            return
-        sortie = self._sorties.get(vehicle.sysid)
-        if sortie is None:
-            sortie = self._sorties[vehicle.sysid] = _Sortie(position.alt_msl_m)
-        is_fast = hypot(position.vn_mps, position.ve_mps) >= _FLYING_SPEED_MPS
-        sortie.is_flying |= is_fast or abs(position.alt_msl_m - sortie.armed_alt_m) >= _FLYING_HEIGHT_M
+def _followed(followed: _Followed | None, found: VehicleReadiness, now_s: float) -> _Followed:
+    """Return what is stated after a prediction: a change of state only once it has lasted."""
+    if followed is None:
+        return _Followed(found, now_s)
+    followed.predicted_at_s = now_s
+    if found.state is followed.stated.state:
+        followed.stated, followed.other = found, None
+        return followed
+    if followed.other is not found.state:
+        followed.other, followed.other_since_s = found.state, now_s
+    lasts_s = _RECOVERED_AFTER_S if followed.stated.is_lost else _CONFIRMED_AFTER_S
+    if now_s - followed.other_since_s >= lasts_s - SAME_S:
+        followed.stated, followed.other = found, None
+    return followed
+
+
+def _sortie(sortie: _Sortie | None, vehicle: ReportedState) -> _Sortie | None:
+    """Return the sortie that a vehicle is on, brought up to date; None while it is not armed."""
+    position = vehicle.position
+    if not vehicle.armed or position is None:
+        return None
+    sortie = sortie if sortie is not None else _Sortie(position.alt_msl_m)
+    is_fast = hypot(position.vn_mps, position.ve_mps) >= _FLYING_SPEED_MPS
+    sortie.is_flying |= is_fast or abs(position.alt_msl_m - sortie.armed_alt_m) >= _FLYING_HEIGHT_M
+    return sortie
 
 
 def _without_values(epoch: Epoch) -> Epoch:

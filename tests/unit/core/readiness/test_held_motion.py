@@ -6,7 +6,7 @@ from math import cos, hypot, pi, sin
 
 import pytest
 
-from gcs_coloc.core.readiness.held_motion import HeldMotion, TurnRates
+from gcs_coloc.core.readiness.held_motion import HeldMotion, TurnRate
 
 
 def test_straight_on() -> None:
@@ -53,19 +53,19 @@ def test_who_turns_or_flies_otherwise_or_stands_is_in_no_formation(
 
 @pytest.mark.parametrize("turn", [-0.25, 0.0, 0.1])
 def test_a_turn_rate_is_found_across_north(turn: float) -> None:
-    rates = TurnRates()
+    rates = TurnRate()
     for t in range(12):
         course = 0.3 - turn * 11.0 + turn * t
-        rates.add(1, float(t), 20.0 * sin(course), 20.0 * cos(course))
-    assert rates.of(1) == pytest.approx(turn, abs=1e-9)
+        rates.add(float(t), 20.0 * sin(course), 20.0 * cos(course))
+    assert rates.radps == pytest.approx(turn, abs=1e-9)
 
 
 def test_who_is_slow_or_just_heard_does_not_turn() -> None:
-    rates = TurnRates()
-    assert rates.of(1) == 0.0
-    rates.add(1, 0.0, 20.0, 0.0)
-    rates.add(1, 1.0, 0.0, 20.0)
-    assert rates.of(1) == 0.0
+    rates = TurnRate()
+    assert rates.radps == 0.0
+    rates.add(0.0, 20.0, 0.0)
+    rates.add(1.0, 0.0, 20.0)
+    assert rates.radps == 0.0
     for t in range(10):
-        rates.add(1, 2.0 + t, 0.1 * (t % 3), 0.1)
-    assert rates.of(1) == 0.0
+        rates.add(2.0 + t, 0.1 * (t % 3), 0.1)
+    assert rates.radps == 0.0
