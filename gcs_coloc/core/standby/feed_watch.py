@@ -35,6 +35,8 @@ class _Vehicle:
     Times are service time in s, minus infinity for never. `passed_on`, `passed_on_at_s`: how many messages of the other's
     stream, and when the last. `fixed_boot_s`: the last fix of the fed receiver by the vehicle's clock, `fixed_at_s`: when that
     was first reported, `is_advance` whether another was known before; `reported_at_s` and `report_before_s`: the last reports.
+    `sent_at_s`: when we fed it last. `wanted_since_s`: since when this service would feed it, None where it would not.
+    `is_granted`: a take-over was for it, so that it is fed at once.
     """
 
     heard_at_s: float = float("-inf")
@@ -46,16 +48,19 @@ class _Vehicle:
     reported_at_s: float = float("-inf")
     report_before_s: float = float("-inf")
     sent_at_s: float = float("-inf")
+    wanted_since_s: float | None = None
+    is_granted: bool = False
 
 
 class FeedWatch:
-    """The evidence of which vehicles the other service feeds.
+    """Which vehicles the other service feeds, by what they show, and which may be fed while it is silent.
 
     `period_s` is the time between two fixes, the same for both services.
     """
 
-    def __init__(self, period_s: float) -> None:
+    def __init__(self, period_s: float, other: OtherService) -> None:
         self._silent_after_s = 2.5 * max(period_s, 0.1)
+        self._other = other
         self._vehicles: dict[int, _Vehicle] = {}
 
     def add_heard(self, sysid: int, at_s: float) -> None:
@@ -77,9 +82,61 @@ class FeedWatch:
             vehicle.is_advance = vehicle.fixed_boot_s is not None and fixed_boot_s is not None
             vehicle.fixed_boot_s, vehicle.fixed_at_s = fixed_boot_s, at_s
 
-    def add_sent(self, sysid: int, at_s: float) -> None:
-        """Add that we have sent to a vehicle: a new fix of its fed receiver is ours then."""
+    def add_fed(self, sysid: int, at_s: float) -> None:
+        """Add that a vehicle is sent something that changes what it does: a new fix is ours then."""
         self._vehicle(sysid).sent_at_s = at_s
+
+    def set_wanted(self, wanted: Collection[int], now_s: float) -> None:
+        """Set the vehicles to which this service would send something that changes what they do."""
+        for sysid in wanted:
+            vehicle = self._vehicle(sysid)
+            vehicle.wanted_since_s = now_s if vehicle.wanted_since_s is None else vehicle.wanted_since_s
+        for sysid in self._vehicles.keys() - set(wanted):
+            self._vehicles[sysid].wanted_since_s, self._vehicles[sysid].is_granted = None, False
+
+    def grant(self, sysids: Collection[int]) -> None:
+        """Let these vehicles, and no others, be fed at once."""
+        for sysid, vehicle in self._vehicles.items():
+            vehicle.is_granted = sysid in sysids
+
+    def fed_lately(self, now_s: float) -> tuple[int, ...]:
+        """Return the vehicles that we have fed of late."""
+        return tuple(sorted(sysid for sysid, v in self._vehicles.items() if now_s - v.sent_at_s <= _SENT_LATELY_S))
+
+    def free(self, now_s: float) -> set[int]:
+        """Return the vehicles that need aid and show that nobody feeds them.
+
+        That counts at once where the other service fed one, otherwise after a while.
+        """
+        found = set()
+        for sysid, vehicle in self._vehicles.items():
+            if vehicle.wanted_since_s is None or not self._is_fed_no_more(vehicle, now_s):
+                continue
+            was_fed = sysid in self._other.shared.feeding or now_s - self._fed_at_s(vehicle, now_s) <= PRESENT_S
+            if was_fed or now_s - max(vehicle.wanted_since_s, self._other.listening_since_s) >= _WANTED_S:
+                found.add(sysid)
+        return found
+
+    def unknown(self, now_s: float) -> tuple[int, ...]:
+        """Return the vehicles that have needed aid for a while and show nothing of who feeds them."""
+        return tuple(
+            sorted(
+                sysid
+                for sysid, vehicle in self._vehicles.items()
+                if vehicle.wanted_since_s is not None
+                and now_s - vehicle.wanted_since_s >= _WANTED_S
+                and not self._shows(vehicle, now_s)
+            )
+        )
+
+    def may_feed_in_silence(self, sysid: int, now_s: float) -> bool:
+        """Return whether a vehicle may be fed though nobody knows what the other one does."""
+        vehicle = self._vehicle(sysid)
+        if vehicle.is_granted or now_s - vehicle.sent_at_s <= _SENT_LATELY_S:
+            return True
+        wanted_since_s = now_s if vehicle.wanted_since_s is None else vehicle.wanted_since_s
+        since_s = max(wanted_since_s, self._other.listening_since_s, self._fed_at_s(vehicle, now_s))
+        return now_s - since_s >= _LISTEN_S
 
     def fed_vehicle(self, now_s: float, since_s: float = float("-inf")) -> int | None:
         """Return a vehicle that the other service feeds; None where no vehicle shows that.
@@ -92,26 +149,20 @@ class FeedWatch:
                 return sysid
         return None
 
-    def fed_at_s(self, sysid: int, now_s: float) -> float:
-        """Return when a vehicle last showed that the other one feeds it; minus infinity for never."""
-        return self._fed_at_s(self._vehicle(sysid), now_s)
-
-    def shows(self, sysid: int, now_s: float) -> bool:
+    def _shows(self, vehicle: _Vehicle, now_s: float) -> bool:
         """Return whether a vehicle would show that it is fed."""
-        vehicle = self._vehicle(sysid)
         return now_s - vehicle.heard_at_s <= _HEARD_WITHIN_S and (self._passes_on(vehicle) or _reports(vehicle, now_s))
 
-    def is_fed_no_more(self, sysid: int, now_s: float) -> bool:
+    def _is_fed_no_more(self, vehicle: _Vehicle, now_s: float) -> bool:
         """Return whether a vehicle shows that nobody feeds it now."""
-        vehicle = self._vehicle(sysid)
-        if not self.shows(sysid, now_s):
+        if not self._shows(vehicle, now_s):
             return False
         if self._passes_on(vehicle):
             return now_s - vehicle.passed_on_at_s > self._silent_after_s
         return vehicle.reported_at_s - vehicle.fixed_at_s >= _UNCHANGED_S
 
     def _fed_at_s(self, vehicle: _Vehicle, now_s: float) -> float:
-        """Return when a vehicle last showed that the other service feeds it.
+        """Return when a vehicle last showed that the other service feeds it; minus infinity for never.
 
         A fix may have come up to a report's spacing before its report.
         """
@@ -131,62 +182,3 @@ def _reports(vehicle: _Vehicle, now_s: float) -> bool:
     """Return whether the reports of the fed receiver come often enough to show who feeds a vehicle."""
     spacing_s = vehicle.reported_at_s - vehicle.report_before_s
     return spacing_s <= _SLOWEST_REPORTS_S and now_s - vehicle.reported_at_s <= _HEARD_WITHIN_S
-
-
-class FeedPermits:
-    """The permits to feed vehicles while the other service is silent.
-
-    They depend on which vehicles need aid, which ones a take-over was for, and which ones we have fed of late.
-    """
-
-    def __init__(self, watch: FeedWatch, other: OtherService) -> None:
-        self._watch = watch
-        self._other = other
-        self._wanted_since_s: dict[int, float] = {}
-        self._granted: set[int] = set()
-        self._sent_at_s: dict[int, float] = {}
-
-    def set_wanted(self, wanted: Collection[int], now_s: float) -> None:
-        """Set the vehicles to which this service would send something that changes what they do."""
-        self._wanted_since_s = {sysid: self._wanted_since_s.get(sysid, now_s) for sysid in wanted}
-        self._granted &= self._wanted_since_s.keys()
-
-    def grant(self, sysids: Collection[int]) -> None:
-        """Let these vehicles, and no others, be fed at once."""
-        self._granted = set(sysids)
-
-    def add_fed(self, sysid: int, now_s: float) -> None:
-        """Note that a vehicle is sent something that changes what it does."""
-        self._sent_at_s[sysid] = now_s
-        self._watch.add_sent(sysid, now_s)
-
-    def fed_lately(self, now_s: float) -> tuple[int, ...]:
-        """Return the vehicles that we have fed of late."""
-        return tuple(sorted(sysid for sysid, at_s in self._sent_at_s.items() if now_s - at_s <= _SENT_LATELY_S))
-
-    def free(self, now_s: float) -> set[int]:
-        """Return the vehicles that need aid and show that nobody feeds them."""
-        return {sysid for sysid in self._wanted_since_s if self._is_free(sysid, now_s)}
-
-    def unknown(self, now_s: float) -> tuple[int, ...]:
-        """Return the vehicles that have needed aid for a while and show nothing of who feeds them."""
-        waiting = (sysid for sysid, since_s in self._wanted_since_s.items() if now_s - since_s >= _WANTED_S)
-        return tuple(sorted(sysid for sysid in waiting if not self._watch.shows(sysid, now_s)))
-
-    def may_feed_in_silence(self, sysid: int, now_s: float) -> bool:
-        """Return whether a vehicle may be fed though nobody knows what the other one does."""
-        if sysid in self._granted or now_s - self._sent_at_s.get(sysid, float("-inf")) <= _SENT_LATELY_S:
-            return True
-        wanted_since_s = self._wanted_since_s.get(sysid, now_s)
-        since_s = max(wanted_since_s, self._other.listening_since_s, self._watch.fed_at_s(sysid, now_s))
-        return now_s - since_s >= _LISTEN_S
-
-    def _is_free(self, sysid: int, now_s: float) -> bool:
-        """Return whether a vehicle shows that nobody feeds it.
-
-        It counts at once where the other service fed it, otherwise after a while.
-        """
-        if not self._watch.is_fed_no_more(sysid, now_s):
-            return False
-        was_fed = sysid in self._other.shared.feeding or now_s - self._watch.fed_at_s(sysid, now_s) <= PRESENT_S
-        return was_fed or now_s - max(self._wanted_since_s[sysid], self._other.listening_since_s) >= _WANTED_S

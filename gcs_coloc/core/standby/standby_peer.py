@@ -16,7 +16,7 @@ from collections.abc import Collection
 
 from gcs_coloc.core.messages.control import SwitchedReceiver
 from gcs_coloc.core.reasons import StatedReason
-from gcs_coloc.core.standby.feed_watch import FeedPermits, FeedWatch
+from gcs_coloc.core.standby.feed_watch import FeedWatch
 from gcs_coloc.core.standby.sign_of_life import (
     FRESH_S,
     NOTHING_SHARED,
@@ -73,14 +73,13 @@ class StandbyPeer:
 
     def __init__(self, own: Identity, run: int, *, is_active: bool, now_s: float, period_s: float) -> None:
         self.own = own
-        self.watch = FeedWatch(period_s)
         self.state = StandbyState.LISTENING if is_active else StandbyState.STANDBY
         self.reason = StatedReason(StandbyReason.STARTED)
         self.since_s = now_s
         self.term = 0
         self._run = run
         self._other = OtherService(own, run, now_s)
-        self._permits = FeedPermits(self.watch, self._other)
+        self.watch = FeedWatch(period_s, self._other)
         self._number = 0
         self._sign_due_s = now_s
         self._ticked_at_s = now_s
@@ -106,7 +105,7 @@ class StandbyPeer:
         """
         self._look_at_time(now_s)
         self._ticked_at_s = now_s
-        self._permits.set_wanted(wanted, now_s)
+        self.watch.set_wanted(wanted, now_s)
         self._waiting_for = ()
         match self.state:
             case StandbyState.LISTENING:
@@ -168,7 +167,7 @@ class StandbyPeer:
             wish = Wish.OFFER if gave_away else Wish.REQUEST
         shared = NOTHING_SHARED
         if self.state is StandbyState.ACTIVE:
-            shared = Shared(self._permits.fed_lately(now_s), overrides, switched)
+            shared = Shared(self.watch.fed_lately(now_s), overrides, switched)
         return SignOfLife(self.own, self._run, self._number, *self._other.echo, self.state, self.term, wish, shared)
 
     def may_send(self, sysid: int, now_s: float) -> bool:
@@ -179,9 +178,9 @@ class StandbyPeer:
         self._look_at_time(now_s)
         if self.state is not StandbyState.ACTIVE:
             return False
-        if not self._other.is_known_to_follow(now_s) and not self._permits.may_feed_in_silence(sysid, now_s):
+        if not self._other.is_known_to_follow(now_s) and not self.watch.may_feed_in_silence(sysid, now_s):
             return False
-        self._permits.add_fed(sysid, now_s)
+        self.watch.add_fed(sysid, now_s)
         return True
 
     def follows(self, now_s: float) -> bool:
@@ -217,7 +216,7 @@ class StandbyPeer:
             return
         self._ticked_at_s = now_s
         self._other.listen_anew(now_s)
-        self._permits.grant(())
+        self.watch.grant(())
         if self.state is StandbyState.ACTIVE:
             self._resumes_after = self._number
             self._sign_due_s = now_s
@@ -294,13 +293,13 @@ class StandbyPeer:
             return
         if silent_s <= (SILENT_S if self._other.state is not None else ALONE_S) or self.watch.fed_vehicle(now_s) is not None:
             return
-        free = self._permits.free(now_s)
+        free = self.watch.free(now_s)
         if free:
             self._become_active(StandbyReason.TOOK_OVER, now_s)
-            self._permits.grant(free)
+            self.watch.grant(free)
             self._took_over_silently = True
         else:
-            self._waiting_for = self._permits.unknown(now_s)
+            self._waiting_for = self.watch.unknown(now_s)
 
     def _take_over_as_told(self, now_s: float) -> StatedReason[OrderRefusal] | None:
         if self._other.mismatch is not None:
@@ -325,7 +324,7 @@ class StandbyPeer:
     def _become_active(self, why: StandbyReason, now_s: float) -> None:
         self.term += 1
         self._took_over_silently = False
-        self._permits.grant(())
+        self.watch.grant(())
         self._enter(StandbyState.ACTIVE, StatedReason(why), now_s)
 
     def _enter(self, state: StandbyState, reason: StatedReason[StandbyReason], now_s: float) -> None:
