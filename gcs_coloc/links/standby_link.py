@@ -15,7 +15,7 @@ from enum import StrEnum
 from typing import Any
 
 from gcs_coloc.core.errors import LinkError
-from gcs_coloc.core.messages.control import AidingOverride, GpsOverride, Override, PrimaryOverride, SwitchedReceiver
+from gcs_coloc.core.messages.control import OVERRIDE_KINDS, SwitchedReceiver
 from gcs_coloc.core.standby.sign_of_life import Identity, OverrideInForce, Shared, SignOfLife, StandbyState, Wish
 from gcs_coloc.links.base import Address, Clock, Link
 from gcs_coloc.links.transport import reason
@@ -27,8 +27,7 @@ FORMAT = 1
 _DIGEST_BYTES = hashlib.sha256().digest_size
 _MAX_BYTES = 32_768
 """Chosen: overrides of 250 vehicles, three each, take 20 kB."""
-_OVERRIDES: dict[str, type[Override]] = {"gps": GpsOverride, "aiding": AidingOverride, "gps_primary": PrimaryOverride}
-_KINDS = {kind: name for name, kind in _OVERRIDES.items()}
+_KINDS = {kind: name for name, kind in OVERRIDE_KINDS.items()}
 
 
 class StandbyRefusal(StrEnum):
@@ -134,7 +133,7 @@ def _sign(content: dict[str, Any]) -> SignOfLife:
     heard_run, heard_number = content["heard"]
     shared = Shared(
         tuple(int(each) for each in content["feeding"]),
-        tuple(OverrideInForce(int(of), _OVERRIDES[kind](value)) for of, kind, value in content["overrides"]),
+        tuple(OverrideInForce(int(of), OVERRIDE_KINDS[kind](value)) for of, kind, value in content["overrides"]),
         tuple(
             SwitchedReceiver(int(of), float(before) if before is not None else None, int(kind) if kind is not None else None)
             for of, before, kind in content["switched"]

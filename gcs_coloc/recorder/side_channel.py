@@ -17,14 +17,12 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.deadlines import Overrun
 from gcs_coloc.core.messages.control import (
-    AidingOverride,
+    OVERRIDE_KINDS,
     ClockReference,
     CommandSource,
     ForeignGpsInput,
-    GpsOverride,
     HoldBack,
     OperatorCommand,
-    PrimaryOverride,
     RouteBlock,
     RouteReport,
     SwitchedByOther,
@@ -33,11 +31,6 @@ from gcs_coloc.core.messages.control import (
 from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
 from gcs_coloc.mavlink.framing import MAGIC_V2, read_frame
 
-_OVERRIDES: dict[str, type[GpsOverride] | type[AidingOverride] | type[PrimaryOverride]] = {
-    "gps": GpsOverride,
-    "aiding": AidingOverride,
-    "gps_primary": PrimaryOverride,
-}
 _KEYS_OF_0_1 = {
     "word": "gps",
     "aid": "aiding",
@@ -177,7 +170,7 @@ def _content(record: SideChannelRecord) -> dict[str, Any]:
         return {"switched": [*record.receiver, record.held]}
     if isinstance(record, OperatorCommand):
         return {
-            next(key for key, kind in _OVERRIDES.items() if isinstance(record.override, kind)): record.override.value,
+            next(key for key, kind in OVERRIDE_KINDS.items() if isinstance(record.override, kind)): record.override.value,
             "sysid": record.sysid,
             **({"by": record.source} if record.source is not None else {}),
         }
@@ -220,7 +213,7 @@ def _record(content: dict[str, Any], at_s: float) -> SideChannelRecord | None:
         sysid, before, kind, held = content["switched"]
         return SwitchedByOther(at_s, SwitchedReceiver(int(sysid), before, kind), bool(held))
     sysid = int(content["sysid"])
-    for key, kind in _OVERRIDES.items():
+    for key, kind in OVERRIDE_KINDS.items():
         if key in content:
             source = CommandSource(content["by"]) if "by" in content else None
             return OperatorCommand(sysid, at_s, kind(content[key]), source)

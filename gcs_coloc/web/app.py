@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from enum import Enum
@@ -22,7 +22,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket
 
 from gcs_coloc import __version__
-from gcs_coloc.core.messages.control import AidingOverride, GpsOverride, Override, PrimaryOverride
+from gcs_coloc.core.messages.control import OVERRIDE_KINDS, Override
 from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.core.standby.sign_of_life import StandbyOrder
 from gcs_coloc.sinks.metrics import fleet_registry
@@ -57,10 +57,6 @@ class WebHooks:
     """Carries out an order on the hot standby, and says why not where it does not; None where there is none."""
 
 
-_OVERRIDES: Mapping[str, type[Override]] = {"gps": GpsOverride, "aiding": AidingOverride, "gps_primary": PrimaryOverride}
-"""What an operator can override, by the last part of the path."""
-
-
 class _LiveRoutes:
     """The requests of a live service. `token` None makes it read-only."""
 
@@ -73,9 +69,9 @@ class _LiveRoutes:
         """An operator override on one vehicle."""
         if not bears_token(request.headers, self._token):
             raise _refused(403, "commands need the operator's token")
-        sysid, kind = request.path_params["sysid"], _OVERRIDES.get(request.path_params["what"])
+        sysid, kind = request.path_params["sysid"], OVERRIDE_KINDS.get(request.path_params["what"])
         if kind is None:
-            raise _refused(404, f"there are commands for {', '.join(_OVERRIDES)}")
+            raise _refused(404, f"there are commands for {', '.join(OVERRIDE_KINDS)}")
         if sysid not in {v.sysid for v in self._hooks.snapshot().vehicles}:
             raise _refused(404, f"no vehicle {sysid} was heard")
         refusal = self._hooks.command_refusal()

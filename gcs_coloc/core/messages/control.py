@@ -5,6 +5,7 @@ Conventions as in `inbound`.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum, StrEnum
 from typing import NamedTuple
@@ -65,6 +66,8 @@ class PrimaryOverride(Enum):
 
 
 Override = GpsOverride | AidingOverride | PrimaryOverride
+OVERRIDE_KINDS: Mapping[str, type[Override]] = {"gps": GpsOverride, "aiding": AidingOverride, "gps_primary": PrimaryOverride}
+"""The kinds of override by their names on the page, in recordings and between two services."""
 
 
 class CommandSource(StrEnum):
