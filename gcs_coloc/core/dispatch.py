@@ -191,10 +191,7 @@ class MessageDispatch:
         return [notice for notice in (told, built.notice) if notice is not None]
 
     def _survey(self, message: PeerRange, vehicle: ReportedState, station: Station) -> Notice | None:
-        """Let a range help to find a station that has no position; return the notice about its device.
-
-        Only a range of a vehicle whose GPS is healthy helps.
-        """
+        """Survey a station without position by a range of a healthy vehicle; return the notice on its device."""
         s = self._stages
         reported = self._believed(message.sysid)
         if reported is None:

@@ -227,10 +227,7 @@ class Engine:
         return self._review.decision(sysid)
 
     def readiness(self, sysid: int) -> VehicleReadiness | None:
-        """Return whether a vehicle would be located if its GPS failed now.
-
-        None while it is not healthy, or not predicted yet.
-        """
+        """Return whether a vehicle would be located without GPS; None if it is not healthy or not predicted."""
         return self._review.readiness.of(sysid)
 
     def estimate(self, sysid: int, at_s: float) -> Estimate | NoEstimate:
@@ -285,10 +282,7 @@ class Engine:
         return vehicle
 
     def _make_room(self, now_s: float) -> None:
-        """Forget a vehicle that may make room, where there is one.
-
-        It was never proven, nothing is sent to it, and nothing of it is to be restored.
-        """
+        """Forget one that was never proven, to which nothing is sent and of which nothing is to be restored."""
         for sysid in self.proven.replaceable(tuple(self.telemetry), now_s):
             if sysid not in self.aiding.to_change():
                 self._dispatch.forget(sysid)

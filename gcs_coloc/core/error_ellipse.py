@@ -22,10 +22,7 @@ _Real = TypeVar("_Real", float, FloatArray)
 
 
 class ErrorEllipse(NamedTuple):
-    """The 1-sigma ellipse: its semi-axes and the direction of the major one.
-
-    The angle is from the covariance's first axis to its second.
-    """
+    """The 1-sigma ellipse: semi-axes, and the angle of the major one from the first axis to the second."""
 
     semi_major_m: float
     semi_minor_m: float
@@ -56,18 +53,12 @@ def error_ellipse(ee: float, en: float, nn: float) -> ErrorEllipse:
 
 
 def horizontal_sigma_m(covariance: FloatArray) -> float:
-    """Return the 1-sigma along the worst horizontal direction, m.
-
-    It is the root of the larger eigenvalue of the top-left (2, 2) block of the covariance.
-    """
+    """Return the 1-sigma along the worst horizontal direction of a covariance, m."""
     return _semi_axes_m(covariance)[0]
 
 
 def horizontal_bound_95_m(covariance: FloatArray) -> float:
-    """Return the radius that holds the horizontal error with 95 %, m.
-
-    It does so if the top-left (2, 2) block of the covariance is true.
-    """
+    """Return the radius that holds the horizontal error with 95 %, if the covariance is true, m."""
     return horizontal_sigma_and_bound_95_m(covariance)[1]
 
 

@@ -37,10 +37,7 @@ class TaskError(GcsColocError):
 
 
 class ClusterError(TaskError):
-    """A Dask cluster that cannot be used.
-
-    It is not installed, not reachable, without workers, or runs another program.
-    """
+    """A Dask cluster that is not installed, not reachable, without workers, or runs another program."""
 
 
 class RecordError(GcsColocError):

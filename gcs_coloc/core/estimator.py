@@ -113,10 +113,7 @@ class PredictsLoss(Protocol):
 
 
 class EstimatorFault(StrEnum):
-    """What an estimator does that no estimator may.
-
-    Its value is its wording, and the `outcome` label of the metric.
-    """
+    """What no estimator may do. The value is the wording, and the `outcome` label of the metric."""
 
     RAISED = "raised an exception"
     NO_RESIDUAL = "gave a residual that is none"

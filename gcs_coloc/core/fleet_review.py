@@ -201,10 +201,7 @@ class FleetReview:
         return s.aiding.view(vehicle, s.gps_health[sysid].state, has_duplicate_id=s.clocks.has_duplicate_id(sysid))
 
     def review_readiness(self, now_s: float) -> None:
-        """Predict one healthy vehicle without its GPS, where one is due.
-
-        The estimator's residuals must have been drained.
-        """
+        """Predict one healthy vehicle without its GPS, where one is due; residuals must have been drained."""
         s = self._stages
         vehicle = self.readiness.due(s.telemetry, self._is_trusted, now_s)
         if vehicle is None:
@@ -274,10 +271,7 @@ class FleetReview:
         )
 
     def _find_witnesses(self, now_s: float) -> frozenset[int]:
-        """Return the witnesses: vehicles of which nothing bad is known.
-
-        Their reported positions are tested against the others'.
-        """
+        """Return the witnesses, of which nothing bad is known: their positions are tested against each other."""
         return frozenset(
             vehicle.sysid
             for vehicle in self._stages.telemetry

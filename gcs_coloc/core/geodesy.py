@@ -23,10 +23,7 @@ _EP2 = _E2 / (1.0 - _E2)  # second eccentricity squared, derived from the first
 
 
 def geodetic_to_ecef(lat_deg: float, lon_deg: float, height_m: float) -> Vector3:
-    """Return the earth-centred, earth-fixed x, y, z (m) of a geodetic latitude, longitude and height.
-
-    Latitude and longitude are in degrees, the height is in m.
-    """
+    """Return earth-centred, earth-fixed x, y, z (m) of latitude, longitude (degrees) and height (m)."""
     lat, lon = radians(lat_deg), radians(lon_deg)
     sin_lat = sin(lat)
     normal_m = _SEMI_MAJOR_M / sqrt(1.0 - _E2 * sin_lat * sin_lat)
@@ -49,10 +46,7 @@ def ecef_to_geodetic(x_m: float, y_m: float, z_m: float) -> Vector3:
 
 
 def horizontal_distance_m(a_lat_deg: float, a_lon_deg: float, b_lat_deg: float, b_lon_deg: float) -> float:
-    """Return the straight distance (m) between two places on the ellipsoid, which are in degrees.
-
-    Below 3 km the distance along the ellipsoid is the same to 1e-8.
-    """
+    """Return the straight distance (m) of two places on the ellipsoid; below 3 km the arc is as long."""
     return dist(geodetic_to_ecef(a_lat_deg, a_lon_deg, 0.0), geodetic_to_ecef(b_lat_deg, b_lon_deg, 0.0))
 
 
@@ -77,26 +71,17 @@ class LocalFrame:
         return ecef_to_geodetic(ox + dx, oy + dy, oz + dz)
 
     def enu_from_ned_velocity(self, lat_deg: float, lon_deg: float, ned: Vector3) -> Vector3:
-        """Return a velocity (m/s) in the frame's east, north, up axes.
-
-        It is given in the north, east, down axes of a place (degrees).
-        """
+        """Return a velocity in the frame's axes, from north, east, down (m/s) at a place (degrees)."""
         vn, ve, vd = ned
         return _rotate(self._axes, _rotate_back(_enu_axes(lat_deg, lon_deg), (ve, vn, -vd)))
 
     def ned_from_enu_velocity(self, lat_deg: float, lon_deg: float, enu: Vector3) -> Vector3:
-        """Return a velocity (m/s) in the north, east, down axes of a place (degrees).
-
-        It is given in the frame's east, north, up axes.
-        """
+        """Return a velocity in north, east, down (m/s) at a place (degrees), from the frame's axes."""
         ve, vn, vu = _rotate(_enu_axes(lat_deg, lon_deg), _rotate_back(self._axes, enu))
         return vn, ve, -vu
 
     def up_from_height(self, east_m: float, north_m: float, height_m: float) -> float:
-        """Return the up coordinate of a height (m) over the place that lies at east, north.
-
-        The earth falls away from the frame's plane, so it is not just the height above the origin.
-        """
+        """Return the up coordinate of a height (m) over a place: the earth falls away from the frame's plane."""
         up_m = height_m - self.height_m
         for _ in range(2):
             up_m += height_m - self.geodetic_from_enu(east_m, north_m, up_m)[2]

@@ -239,19 +239,13 @@ class NoEstimate:
 
 
 def count_reasons(reasons: Iterable[Unlocated]) -> dict[Unlocated, int]:
-    """Return how often each reason of no estimate was given, the most frequent first.
-
-    Each has the numbers of its first time.
-    """
+    """Return how often each reason was given, with the numbers of its first time, most frequent first."""
     first: dict[NoEstimateReason, Unlocated] = {}
     return dict(Counter(first.setdefault(stated.reason, stated) for stated in reasons).most_common())
 
 
 def is_possible(measurement: Measurement) -> bool:
-    """Return whether a measurement can be true.
-
-    All numbers are finite, all sigmas above zero, a range is not negative and its two ends differ.
-    """
+    """Return whether all is finite, sigmas are above zero, a range is not negative and has two ends."""
     for one in fields(measurement):
         value = getattr(measurement, one.name)
         numbers = value if isinstance(value, tuple) else () if value is None else (value,)

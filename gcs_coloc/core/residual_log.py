@@ -62,10 +62,7 @@ class RangeSnapshot:
 
 
 class ResidualLog:
-    """The residuals of ranges measured in the last 5 s, at most 4000 of them.
-
-    Residuals of fixes, which have no peer, are left out.
-    """
+    """The residuals of ranges measured in the last 5 s, at most 4000; those of fixes are left out."""
 
     def __init__(self) -> None:
         self._recent: deque[Residual] = deque()
@@ -243,10 +240,7 @@ class RangeJumps:
                 device.jump_m, device.jumped_at_s = r.innovation_m, now_s
 
     def sizes_m(self, now_s: float) -> dict[int, float]:
-        """Return by what length all ranges of a vehicle jumped within the last second, m.
-
-        Vehicles whose ranges did not are left out.
-        """
+        """Return by what length all ranges of a vehicle jumped within the last second, m, where they did."""
         return {
             vehicle: device.jump_m
             for vehicle, device in self._devices.items()

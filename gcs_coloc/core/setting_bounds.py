@@ -15,10 +15,7 @@ _KEY = "bounds"
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """The least and the most that a setting may be; infinity where there is no bound.
-
-    `open_below`: the least is excluded.
-    """
+    """The least (excluded if `open_below`) and the most that a setting may be; infinity for no bound."""
 
     least: float = -math.inf
     most: float = math.inf

@@ -70,10 +70,7 @@ class StationReview:
         return [self._reviewed(station, frame, now_s) for station in s.stations if station.position is not None]
 
     def update(self, report: IntegrityReport, now_s: float) -> list[Notice]:
-        """Keep what integrity found of the stations; return what the operator must know.
-
-        It also seeks one station that has no position.
-        """
+        """Keep what integrity found of the stations, and seek one; return what the operator must know."""
         faults = {station.node: report.faults[station.node] for station in self._stages.stations if station.node in report.faults}
         before, self._faults = self._faults, faults
         out = []

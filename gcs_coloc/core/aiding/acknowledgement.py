@@ -134,10 +134,7 @@ class EkfAcknowledgement(Acknowledgement):
 
 
 class FixAcknowledgement(Acknowledgement):
-    """The acknowledgement of GPS_INPUT: the receiver that we feed shows the fix that was sent.
-
-    The vehicle reports that receiver in GPS2_RAW, or in GPS_RAW_INT where we feed the first one.
-    """
+    """The acknowledgement of GPS_INPUT: GPS2_RAW (GPS_RAW_INT for the first receiver) shows the sent fix."""
 
     _what = "GPS_INPUT"
 

@@ -88,10 +88,7 @@ class FixPolicy:
         return self._settings.prediction_s - (now_s - self._ranged_at_s)
 
     def _regain_after_s(self) -> float:
-        """Return for how long a lost fix must be sound before it is stated again, s.
-
-        That is shorter where all that it lacked was certainty, as in a gap of the ranges.
-        """
+        """Return how long a lost fix must be sound, s: shorter where all that it lacked was certainty."""
         after_s = self._settings.regain_after_s
         return min(after_s, _CERTAIN_AFTER_S) if self._only_too_uncertain else after_s
 
@@ -121,10 +118,7 @@ class FixPolicy:
 
 
 def _is_determined(answer: Estimate) -> bool:
-    """Return whether the ranges in use determine both horizontal coordinates.
-
-    If they do not, the position depends on what is assumed of the motion.
-    """
+    """Return whether the ranges determine both horizontal coordinates, whatever is assumed of the motion."""
     return answer.ranges_in_use >= 2 and (answer.hdop is None or answer.hdop <= _MOST_DETERMINED_HDOP)
 
 

@@ -38,10 +38,7 @@ class Parameters:
         self._wanted: dict[tuple[int, str], _Parameter] = {}
 
     def request(self, sysid: int, name: str, now_s: float) -> None:
-        """Request a parameter that is not known, or was reported long ago.
-
-        Somebody else may have changed it since. `due` returns the request.
-        """
+        """Request a parameter that is not known, or that somebody may have changed since it was reported."""
         wanted = self._wanted.setdefault((sysid, name), _Parameter(now_s))
         if wanted.is_over and now_s >= wanted.due_s:
             wanted.due_s, wanted.tries, wanted.is_over = now_s, 0, False
@@ -63,10 +60,7 @@ class Parameters:
         return wanted.reported.value if wanted is not None and wanted.reported is not None else None
 
     def is_settled(self, sysid: int, name: str) -> bool:
-        """Return whether a parameter is known, or was requested in vain.
-
-        A vehicle that answers no request for a parameter counts as not having it.
-        """
+        """Return whether a parameter is known, or was requested in vain: the vehicle does not have it."""
         wanted = self._wanted.get((sysid, name))
         return wanted is not None and (wanted.reported is not None or wanted.is_unanswered)
 

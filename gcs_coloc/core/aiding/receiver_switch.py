@@ -118,10 +118,7 @@ class PrimaryParameter:
 
 
 class EstimatorSensor:
-    """The own receiver of a PX4, switched off in EKF2 and on again by a command.
-
-    Not every firmware knows the command.
-    """
+    """The own receiver of a PX4, switched in EKF2 by a command that not every firmware knows."""
 
     first_step = SwitchStep.SETTING
 
@@ -195,10 +192,7 @@ class ReceiverSwitch:
         self._switches: dict[int, _Switch] = {}
 
     def holds(self, sysid: int) -> bool:
-        """Return whether a vehicle's own receiver is out of use by our doing, or may be.
-
-        What the vehicle reports of itself is then an echo of our fix.
-        """
+        """Return whether a vehicle may fly on our fix alone by our doing, so that its reports are an echo."""
         switch = self._switches.get(sysid)
         return switch is not None and switch.is_held
 
@@ -211,10 +205,7 @@ class ReceiverSwitch:
         return tuple(switch.receiver.before() for switch in self._switches.values() if switch.is_held)
 
     def adopt(self, receiver: SwitchedReceiver, now_s: float, *, held: bool) -> None:
-        """Take over a switch of the other service, to keep or to restore it.
-
-        With `held` False, forget the switch.
-        """
+        """Take over a switch of the other service, to keep or to restore it; forget it where it is not `held`."""
         sysid = receiver.sysid
         if not held:
             self.forget(sysid)
@@ -235,10 +226,7 @@ class ReceiverSwitch:
         return switch.step.value if switch is not None else None
 
     def review(self, sysid: int, autopilot: Autopilot | None, now_s: float, *, wanted: bool) -> list[Order | Notice]:
-        """Return the next order for a vehicle's receiver, or a notice, where one is due.
-
-        `wanted`: its own receiver is to be out of use; else it is to be in use as before.
-        """
+        """Return the order or notice that is due; `wanted`: its own receiver is to be out of use."""
         switch = self._switches.get(sysid)
         if switch is None:
             if not wanted:

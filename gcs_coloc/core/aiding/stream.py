@@ -204,10 +204,7 @@ class AidingStream:
         return override is PrimaryOverride.OURS or (is_automatic and is_lost)
 
     def status(self) -> str:
-        """Return what is sent in a few words, for the operator.
-
-        Why there is no estimate is told where the position would be.
-        """
+        """Return what is sent in a few words, but not why there is no estimate: that stands at the position."""
         lead = "sending" if self._purpose is Purpose.AID else f"{self._purpose.value}: sending"
         if self.inhibit is not None:
             reason = "" if self.inhibit.reason is InhibitReason.NO_ESTIMATE else f": {self.inhibit.text}"
@@ -228,10 +225,7 @@ class AidingStream:
         return [Notice(now_s, self._sysid, "warning", text)]
 
     def _tell_of_prediction(self, now_s: float) -> list[Outbound]:
-        """Return the warning that ranges have ceased, or the notice that they have come back.
-
-        The warning leaves time to act: PX4 goes into failsafe 5 s after its aid ends.
-        """
+        """Return the warning, in time to act (PX4: 5 s), that ranges have ceased, or that they are back."""
         was_told = self._told_prediction
         self._told_prediction = self._is_predicting
         if self._is_predicting and not was_told:

@@ -123,10 +123,7 @@ def conditions(v: VehicleSnapshot, loop_lag_s: float) -> list[Condition]:
 
 
 def traffic_light(v: VehicleSnapshot, loop_lag_s: float) -> tuple[LightColour, str]:
-    """Return the colour of one vehicle's traffic light, and the reason in words.
-
-    Both come from its most serious condition, as its alarm does.
-    """
+    """Return the colour of one vehicle's traffic light and the reason, both of its worst condition."""
     found = conditions(v, loop_lag_s)
     if found:
         return ("bad" if found[0].level == "error" else "caution"), found[0].text
@@ -204,10 +201,7 @@ def _action_without_gps(v: VehicleSnapshot) -> str:
 
 
 class AlarmList:
-    """The alarms of one fleet, one for each vehicle and kind.
-
-    Every method that changes alarms returns those that have changed.
-    """
+    """The alarms of one fleet, one for each vehicle and kind. Its methods return those that have changed."""
 
     def __init__(self) -> None:
         self._alarms: dict[tuple[int | None, AlarmKind, str], Alarm] = {}

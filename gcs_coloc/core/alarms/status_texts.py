@@ -45,10 +45,7 @@ class _Sent:
 
 
 class StatusTexts:
-    """The changes of alarms that ground tools are still to be told.
-
-    Only the newest change of each alarm waits.
-    """
+    """The changes of alarms that ground tools are still to be told, of each alarm the newest."""
 
     def __init__(self) -> None:
         self._waiting: dict[int, Alarm] = {}

@@ -68,16 +68,10 @@ class _Clocks:
 
 
 class FleetClocks:
-    """The clocks of the vehicles of one fleet, and of their ranging devices.
-
-    `refused` counts refused stamps and answers.
-    """
+    """The clocks of vehicles and their ranging devices; `refused` counts refused stamps and answers."""
 
     def __init__(self, settings: TimeSettings | None = None, max_age_s: float = 5.0) -> None:
-        """Begin without vehicles.
-
-        `max_age_s`: a message that was measured longer ago than this is refused.
-        """
+        """Begin without vehicles. `max_age_s`: a message that was measured longer ago than this is refused."""
         self.settings = settings if settings is not None else TimeSettings()
         self.refused: Counter[CoreRefusal] = Counter()
         self._max_age_s = max_age_s
@@ -112,10 +106,7 @@ class FleetClocks:
         return self._fresh(clock.to_service(message.boot_s, message.received_at_s), message.received_at_s, too_old)
 
     def booted_at_s(self, message: GlobalPosition, measured: ServiceTime) -> float:
-        """Return the service time at which an autopilot booted.
-
-        `measured` is the service time of the stamp in `message`.
-        """
+        """Return the service time at which an autopilot booted; `measured` is that of the stamp in `message`."""
         return measured.at_s - self._of(message.sysid).boot.stamps.unwrapped(message.boot_s)
 
     def fix_time(self, message: GpsReceiver) -> ServiceTime:
@@ -230,10 +221,7 @@ class FleetClocks:
         return self._of(sysid).has_duplicate_id
 
     def knows_delay(self, sysid: int, now_s: float) -> bool:
-        """Return whether TIMESYNC, UTC or a setting shows how late a vehicle's link is.
-
-        Also true for a vehicle that has sent no stamp yet.
-        """
+        """Return whether it is shown how late a vehicle's link is; also true before its first stamp."""
         quality = self.boot_clock(sysid).quality(now_s)
         return quality is None or quality[0] != ONE_WAY or self.settings.min_delay_s > 0.0
 
@@ -251,10 +239,7 @@ class FleetClocks:
 
 
 def _has_room(ranging: dict[tuple[TimeBase, int], _RangeClock], now_s: float) -> bool:
-    """Return whether there is room for one more device.
-
-    In a full table a silent one makes it, first of all an unproven one.
-    """
+    """Return whether there is room for one more device, made by a silent one, unproven ones first."""
     if len(ranging) < _MAX_RANGE_CLOCKS:
         return True
     silent = [key for key, device in ranging.items() if now_s - device.heard_at_s >= _SILENT_AFTER_S]

@@ -125,20 +125,14 @@ class SenderClock:
         return True
 
     def begin_anew(self, *, is_reset: bool = True) -> None:
-        """Forget the clock: the next stamp begins a new one.
-
-        `is_reset`: it counts as a reboot.
-        """
+        """Forget the clock: the next stamp begins a new one. `is_reset`: it counts as a reboot."""
         self.resets += is_reset
         self._buckets.clear()
         self._slots.clear()
         self._least_s = self._wait_s = None
 
     def unwrapped(self, stamp_s: float) -> float:
-        """Return a stamp corrected for the wrap of a 32-bit millisecond counter, in s.
-
-        It is corrected only where it then agrees with the clock so far.
-        """
+        """Return a stamp (s) corrected for the wrap of 32 bits of ms, where it then fits the clock so far."""
         if not self._buckets:
             return stamp_s
         expected_s = self.newest_stamp_s
@@ -185,10 +179,7 @@ class SenderClock:
         return held_s if held_s > self.mean_wait_s() else 0.0
 
     def to_service(self, stamp_s: float) -> float:
-        """Return the service time of a stamp, too late by the link's least delay.
-
-        Both are in s. Only valid after `learn` has accepted a stamp.
-        """
+        """Return the service time of a learnt stamp, too late by the link's least delay; both in s."""
         return self.unwrapped(stamp_s) + self.least_difference_s()
 
     def _add_to_slot(self, difference_s: float, received_at_s: float) -> None:

@@ -99,10 +99,7 @@ class Causality(NamedTuple):
         return stamp_s + self.low_s - received_at_s
 
     def excludes(self, exchange: _Exchange) -> bool:
-        """Return whether an exchange contradicts the bounds: the clock was stepped.
-
-        It was then answered before it was asked, or heard before it was sent.
-        """
+        """Return whether an exchange was answered before it was asked, or heard before it was sent."""
         age_s = exchange.at_s - self.at_s
         off_s = _STEP_S + _MOST_RATE * age_s
         return age_s <= _RECENT_S and not (-exchange.up_s <= self.high_s + off_s and exchange.down_s >= self.low_s - off_s)
@@ -135,10 +132,7 @@ class RoundTrips:
     _last: deque[_Exchange] = field(default_factory=lambda: deque(maxlen=_RATE_EXCHANGES))
 
     def request(self, sysid: int, now_s: float, period_s: float) -> int | None:
-        """Return our time in ns for a request that is due now; None where none is due.
-
-        Requests are frequent at first, and rare where nobody answers.
-        """
+        """Return our time in ns for a request that is due now: often at first, seldom where nobody answers."""
         if now_s - self._requested_at_s < self._wait_s(period_s, now_s) - 1e-6:
             return None
         self._requested_at_s = now_s
@@ -203,10 +197,7 @@ class RoundTrips:
         return self.contradictions >= _CONTRADICTIONS_TO_BELIEVE
 
     def estimate(self, now_s: float) -> Synchronised | None:
-        """Return the offset by the exchanges; None where the last one is too long ago.
-
-        Too long is five minutes, or five seconds where the clock wanders.
-        """
+        """Return the offset; None 5 min after the last exchange, or 5 s where the clock wanders."""
         is_crystal = self._estimate is None or self._estimate.drift.sigma < _WANDERING_SIGMA
         if self._estimate is None or now_s - self._estimate.at_s > (_WINDOW_S if is_crystal else _WANDERING_KNOWN_S):
             return None

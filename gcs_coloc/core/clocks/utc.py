@@ -30,18 +30,12 @@ TABLE_GOOD_UNTIL = datetime(2027, 6, 28, tzinfo=UTC)
 
 
 def table_is_old(unix_s: float) -> bool:
-    """Return whether a UNIX time is too late for the leap second table.
-
-    An aiding message may then carry a GPS time that is a second off.
-    """
+    """Return whether a UNIX time is too late for the leap second table: GPS time may be a second off."""
     return unix_s >= TABLE_GOOD_UNTIL.timestamp()
 
 
 def gps_week_and_ms(unix_s: float) -> tuple[int, int]:
-    """Return the GPS week number of a UNIX time, and the milliseconds into that week.
-
-    (0, 0) where the time is before the leap second table begins.
-    """
+    """Return GPS week and milliseconds into it of a UNIX time; (0, 0) before the leap second table begins."""
     index = bisect_right(_STEPS_UNIX_S, unix_s)
     if index == 0:
         return 0, 0
@@ -57,10 +51,7 @@ class HostClockFault(Enum):
 
 
 class Utc:
-    """UTC on the service's clock, from the host or from vehicles.
-
-    `required`: nobody is aided while the host's clock is not known to be synchronised.
-    """
+    """UTC on the service's clock; `required`: nobody is aided while the host is not known synchronised."""
 
     def __init__(self, *, required: bool) -> None:
         self._required = required
@@ -68,10 +59,7 @@ class Utc:
         self._warned_of_old_table = False
 
     def update(self, message: ClockReference) -> list[Notice]:
-        """Update with what the host says of its clock; return notices for the operator.
-
-        There is one notice for each change.
-        """
+        """Update with what the host says of its clock; return a notice for each change."""
         before = self._host.synchronised if self._host is not None else None
         first, self._host = self._host is None, message
         out: list[Notice] = []

@@ -118,10 +118,7 @@ class DuplicateIdDetector:
         self._turns_s.clear()
 
     def detected(self, now_s: float) -> bool:
-        """Return whether two clocks take turns, so that two autopilots use one system id.
-
-        They must take turns six times within 20 s, a second or more apart, and once within the last 10 s.
-        """
+        """Return whether two clocks took turns six times within 20 s, a second apart, the last within 10 s."""
         turns_s = self._turns_s
         return len(turns_s) == _TURNS and turns_s[-1] - turns_s[0] <= _TURNS_WITHIN_S and now_s - turns_s[-1] <= _HELD_S
 
@@ -216,10 +213,7 @@ class VehicleClock:
         return self._by_utc.delay_s if self._by_utc is not None else None
 
     def to_service(self, stamp_s: float, now_s: float) -> ServiceTime:
-        """Return the service time of a stamp of this clock.
-
-        Only valid after `learn` has accepted a stamp.
-        """
+        """Return the service time of a stamp of this clock that `learn` has accepted."""
         sync = self.synchronised(now_s)
         if sync is not None:
             return ServiceTime(self.stamps.unwrapped(stamp_s) + sync.offset_at_s(now_s), sync.sigma_at_s(now_s))
@@ -227,20 +221,14 @@ class VehicleClock:
         return ServiceTime(self.stamps.to_service(stamp_s) - one_way.delay_s, one_way.sigma_s)
 
     def from_service(self, at_s: float, now_s: float) -> float | None:
-        """Return a service time near the present as a stamp of this clock; None before its first stamp.
-
-        Both are in s. It is the inverse of `to_service`.
-        """
+        """Return the inverse of `to_service` near the present, s; None before the first stamp."""
         if not self.stamps.known:
             return None
         newest_s = self.stamps.newest_stamp_s
         return newest_s + at_s - self.to_service(newest_s, now_s).at_s
 
     def device_to_service(self, device: SenderClock, stamp_s: float, now_s: float) -> ServiceTime:
-        """Return the service time of a stamp of a ranging device of this vehicle.
-
-        `device` is the device's own clock, which has already learnt from the stamp.
-        """
+        """Return the service time of a stamp from which a ranging device's own clock has learnt."""
         sync = self.synchronised(now_s)
         waits_more_s, held_s = 0.0, device.held_back_s()
         if self.stamps.known:

@@ -109,10 +109,7 @@ def is_fresh(integrity: ReceiverIntegrity | None, now_s: float) -> TypeGuard[Rec
 
 
 def reported_interference(integrity: ReceiverIntegrity | None, now_s: float) -> GpsReason | None:
-    """Return what the receiver itself reports against its fix; None where it reports nothing.
-
-    Jamming that the receiver mitigates is no fault: its fix is as good as it states.
-    """
+    """Return what the receiver reports against its fix; jamming that it mitigates is no fault."""
     if not is_fresh(integrity, now_s):
         return None
     if integrity.spoofing is Interference.DETECTED:

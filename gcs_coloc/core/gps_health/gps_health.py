@@ -75,10 +75,7 @@ _NOTHING_HEARD = StatedReason(GpsReason.NOTHING_HEARD)
 
 
 class GpsHealth:
-    """The GPS health of one vehicle: a state machine that `update` moves by evidence.
-
-    Its checks of position, receiver and velocity remember what they need between updates.
-    """
+    """The GPS health of one vehicle: a state machine that `update` moves by evidence and checks."""
 
     def __init__(self, settings: GpsHealthSettings) -> None:
         self._settings = settings
@@ -108,18 +105,12 @@ class GpsHealth:
 
     @property
     def is_returning(self) -> bool:
-        """Whether a vehicle that has failed has good evidence again.
-
-        It is RECOVERING, or still FAILED as the evidence has not been good for long enough.
-        """
+        """Whether a failed vehicle has good evidence again: RECOVERING, or FAILED and not good for long yet."""
         return self._state is GpsState.RECOVERING or (self._state is GpsState.FAILED and self._good_since_s is not None)
 
     @property
     def reports_false_fix(self) -> bool:
-        """Whether the receiver of a FAILED vehicle reports a fix all the same: it is jammed or spoofed.
-
-        So it is where the fix came and went.
-        """
+        """Whether the receiver of a FAILED vehicle reports a fix all the same, or one that came and went."""
         return self._state is GpsState.FAILED and (self._has_bad_fix or self._flickered)
 
     @property
@@ -282,10 +273,7 @@ class GpsHealth:
 
 
 class FleetGpsHealth(dict[int, GpsHealth]):
-    """The state machine of each vehicle of a fleet.
-
-    That of a vehicle of which nothing was heard is UNKNOWN.
-    """
+    """The state machine of each vehicle of a fleet, UNKNOWN where nothing was heard."""
 
     def __init__(self, settings: GpsHealthSettings) -> None:
         super().__init__()

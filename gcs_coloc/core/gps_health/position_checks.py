@@ -37,10 +37,7 @@ _OFF_PERSISTS_S = 3.0  # chosen: longer than a filter takes to follow its receiv
 
 
 class PathStep(NamedTuple):
-    """A reported position, and the path that the reported velocities integrate to.
-
-    Both are east and north, m; velocities are m/s.
-    """
+    """A reported position, and the path of the integrated velocities: east and north, m and m/s."""
 
     at_s: float
     east_m: float
@@ -52,10 +49,7 @@ class PathStep(NamedTuple):
 
 
 def path_step(last: PathStep | None, at_s: float, place_m: tuple[float, float], velocity_mps: tuple[float, float]) -> PathStep:
-    """Return the step to a reported position and velocity (east, north).
-
-    Its path continues that of the last step, by the trapezoidal rule.
-    """
+    """Return the step to a reported position and velocity; its path goes on by the trapezoidal rule."""
     ve_mps, vn_mps = velocity_mps
     path_east_m = path_north_m = 0.0
     if last is not None:
@@ -129,10 +123,7 @@ class MotionCheck:
         return StatedReason(GpsReason.IMPLAUSIBLE_MOTION, self._miss_m, _WINDOW_S)
 
     def frozen(self) -> StatedReason[GpsReason] | None:
-        """Return why the receiver counts as frozen; None where it does not.
-
-        A receiver that moves never repeats a fix to the centimetre.
-        """
+        """Return why the receiver counts as frozen, as none that moves repeats a fix to the centimetre."""
         if self._heard_at_s - self._same_since_s < _FROZEN_S or self._same_path_m < _FROZEN_PATH_M:
             return None
         return StatedReason(GpsReason.FROZEN, self._same_path_m)

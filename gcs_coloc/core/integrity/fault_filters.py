@@ -260,10 +260,7 @@ class FaultFilters:
         return H
 
     def _reset_diverged(self, H: FloatArray, z: list[float], r: list[float]) -> None:
-        """Make the displacement unknown again in each filter that has diverged.
-
-        A filter has diverged if it explains less than half of the residuals, several steps in a row.
-        """
+        """Reset the displacement of filters that explain less than half of the residuals for some steps."""
         columns = H.transpose(0, 2, 1)
         predicted = self._A @ columns
         variance = (columns * predicted[:, 1:]).sum(axis=1) + r

@@ -63,19 +63,13 @@ class _DeniedVehicle:
 
 
 class FaultMonitor:
-    """The fault monitor of one fleet: fault filters for each denied vehicle.
-
-    Add ranges with the priors of both ends, then call `step`.
-    """
+    """The fault monitor of one fleet. Add ranges with the priors of both ends, then call `step`."""
 
     def __init__(self) -> None:
         self._denied: dict[int, _DeniedVehicle] = {}
 
     def add_range(self, m: RangeMeasurement, a: PositionPrior, b: PositionPrior) -> None:
-        """Add a range with the priors of both ends at its time.
-
-        Only a range between one vehicle with a prior and one without counts.
-        """
+        """Add a range with the priors of its ends at its time; it counts where only one of them has none."""
         if a.no_prior == b.no_prior:
             return
         vehicle, peer, own, prior = (m.from_vehicle, m.to_vehicle, a, b) if a.no_prior else (m.to_vehicle, m.from_vehicle, b, a)
@@ -131,10 +125,7 @@ class FaultMonitor:
         return {vehicle: _separation_m2(denied.filters, now_s, denied.off) for vehicle, denied in self._redundant()}
 
     def detected(self) -> frozenset[int]:
-        """Return the vehicles one of which is faulty; an empty set where no fault is detected.
-
-        A denied vehicle whose own ranging device is the likeliest cause adds none.
-        """
+        """Return the vehicles one of which is faulty; none for a denied vehicle's own ranging device."""
         detected = set[int]()
         for _, denied in self._redundant():
             probabilities = denied.filters.probabilities()
@@ -185,10 +176,7 @@ def expected_separation_m2(epoch: Epoch, vehicle: int) -> FloatArray | None:
 
 
 def _separation_m2(filters: FaultFilters, now_s: float, off: Collection[int] = ()) -> FloatArray:
-    """Return the second moment (2, 2) of the displacement over all weighted faults, m^2.
-
-    `off` are the peers whose ranges are known to be off.
-    """
+    """Return the second moment (2, 2) over all weighted faults, m^2; ranges to the `off` are known wrong."""
     sum_ee = sum_en = sum_nn = 0.0
     for h in filters.hypotheses(now_s, off):
         weight, (ee, en, nn) = min(h.probability / _FULL_WEIGHT_PROBABILITY, 1.0), h.separation_m2

@@ -142,10 +142,7 @@ def _least_information_per_m2(information: FloatArray) -> float:
 
 
 def _squared_distance(difference_m: FloatArray, fix: PositionMeasurement, estimate: Estimate) -> float:
-    """Return the squared distance of fix and estimate, normalised by their covariances.
-
-    d' (P + sigma^2 I)^-1 d is chi-square with 2 degrees of freedom where fix and estimate are right.
-    """
+    """Return d' (P + sigma^2 I)^-1 d of fix minus estimate: chi-square (2) where both are right."""
     covariance = estimate.covariance[:2, :2] + fix.sigma_h_m**2 * np.eye(2)
     return float(difference_m @ np.linalg.solve(covariance, difference_m))
 

@@ -129,10 +129,7 @@ class IntegrityMonitor:
         self._fault_levels = levels
 
     def _place_by_estimate(self, vehicle: ReviewedVehicle, now_s: float) -> None:
-        """Let a vehicle take part where the estimator has it, without a prior for its position.
-
-        Without an estimate it does not take part.
-        """
+        """Let a vehicle take part where the estimator has it, without a prior; not at all without an estimate."""
         where = vehicle.estimate
         if where is None:
             self._consistency.residuals.drop(vehicle.sysid)

@@ -267,10 +267,7 @@ class RangeConsistency:
         self._detection.add_samples(of_positions, suspected, now_s)
 
     def _may_be_coarse(self, vehicle: int, sample: Isolation, epoch: Epoch, past: Past) -> bool:
-        """Return whether an isolated receiver may be sound, and only state too small an error.
-
-        Its offset, and the change of the offset, are then no larger than such a receiver may have.
-        """
+        """Return whether an isolated receiver may be sound, by its offset and the change of that."""
         stated_m = epoch.priors[vehicle].sigma_h_m / self.noise.position_factor
         _, correlation = past
         most_change_m = _COARSE_CHANGE_SIGMAS * stated_m * sqrt(2.0 * (1.0 - correlation))

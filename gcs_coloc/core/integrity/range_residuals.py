@@ -48,10 +48,7 @@ _QUARTILE_DISTANCE_SIGMAS = 1.35  # distance of a Gaussian's quartiles, in sigma
 
 
 class TrackPoint(NamedTuple):
-    """Position and velocity of a vehicle at one time, ENU in m and m/s.
-
-    The 1-sigmas are in m. The rest is as in `PositionPrior`.
-    """
+    """Position and velocity of a vehicle at one time, ENU in m and m/s; the rest as in `PositionPrior`."""
 
     at_s: float
     position_enu_m: Vector3
@@ -94,10 +91,7 @@ class _Track:
             del self._times_s[0], self._points[0]
 
     def at(self, at_s: float) -> PositionPrior | None:
-        """Return the prior at a time; None where no point of the track is near enough.
-
-        The nearest point is extrapolated by its velocity.
-        """
+        """Return the prior at a time, from the nearest point and its velocity; None where none is near enough."""
         times_s = self._times_s
         nearest = bisect_left(times_s, at_s)
         if nearest and (nearest == len(times_s) or at_s - times_s[nearest - 1] <= times_s[nearest] - at_s):
@@ -152,10 +146,7 @@ class RangeResidualBuffer:
         self._selected_s[pair] = measured_at_s
 
     def ranged_at_s(self, vehicle: int) -> float | None:
-        """Return the time of the newest range to or from a vehicle, in s; None where there is none.
-
-        Only ranges whose residual was computed count.
-        """
+        """Return the time of a vehicle's newest range whose residual was computed, s; None without one."""
         return max((samples[-1][0] for pair, samples in self._samples.items() if vehicle in pair), default=None)
 
     def epoch(self, now_s: float, detected: Collection[int] = ()) -> Epoch:
@@ -173,10 +164,7 @@ class RangeResidualBuffer:
         return epoch
 
     def sparse_epoch(self, now_s: float, dense: Epoch) -> Epoch:
-        """Return `dense` with the pairs that are ranged too seldom for it.
-
-        `dense` is the epoch of the same time.
-        """
+        """Return `dense`, the epoch of the same time, with the pairs that are ranged too seldom for it."""
         if len(dense.residuals) == len(self._samples):
             return dense
         return self._epoch(self._samples, now_s, 1)

@@ -114,10 +114,7 @@ class _Reacquisition:
         return PositionFault(FaultReason.CONTRADICTS_RANGES, self.offset_m, self.peers)
 
     def has_diverged(self, check: FixCheck, now_s: float) -> bool:
-        """Return whether the estimate must be initialised again.
-
-        It must where the ranges have fitted the receiver, and not the estimate, for a while.
-        """
+        """Return whether ranges have fitted the receiver, and not the estimate, for a while: it starts anew."""
         if check.finding is not FixConsistency.ESTIMATE_OFF:
             self.diverged_since_s = None
             return False
@@ -167,10 +164,7 @@ class ReacquisitionMonitor:
     def review(
         self, now_s: float, vehicles: Sequence[ReviewedVehicle], identified: Mapping[int, PositionFault]
     ) -> IntegrityReport:
-        """Test the fixes of the receivers in question, and return what was found.
-
-        The tests are against ranges, and against estimates with their solution separation.
-        """
+        """Test the fixes in question against ranges and inflated estimates; return what was found."""
         back = {v.sysid: (v, fix) for v in vehicles if (fix := self._fix(v, now_s, identified)) is not None}
         if not back:
             if self._receivers:

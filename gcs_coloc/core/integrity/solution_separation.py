@@ -124,10 +124,7 @@ class SolutionSeparation:
         return found
 
     def _hypotheses(self, vehicle: int, x: FloatArray, residuals_m: FloatArray) -> Iterator[_Hypotheses]:
-        """Yield the hypotheses of a vehicle for the solution `x` of some residuals.
-
-        Both are of one set of residuals, or have a last axis of several.
-        """
+        """Yield the hypotheses of a vehicle for the solution `x` of residuals (several: along a last axis)."""
         at = 3 * self._arrays.index[vehicle]
         own = slice(at, at + 2)
         yield FaultClass.MOTION, [(vehicle,)], x[np.newaxis, own], self._C[np.newaxis, own, own]
@@ -146,10 +143,7 @@ class SolutionSeparation:
         return [np.array(list(combinations(reporting, size)), dtype=np.intp) for size in range(1, largest + 1)]
 
     def _receivers(self, own: slice, subsets: NDArray[np.intp], x: FloatArray) -> _Hypotheses:
-        """Return the hypotheses that the reported positions of a subset are wrong.
-
-        These positions keep the least information.
-        """
+        """Return the hypotheses that the positions of a subset are wrong: these keep the least information."""
         states = (3 * subsets[:, :, np.newaxis] + np.arange(2)).reshape(len(subsets), -1)
         removed = 1.0 / (self._prior[states] - _LEAST_INFORMATION_PER_M2)
         inner = -self._C[states[:, :, np.newaxis], states[:, np.newaxis, :]]

@@ -71,10 +71,7 @@ OVERRIDE_KINDS: Mapping[str, type[Override]] = {"gps": GpsOverride, "aiding": Ai
 
 
 class CommandSource(StrEnum):
-    """Where an operator's command came from.
-
-    Its value stands in recordings, on the page and in MQTT messages.
-    """
+    """Where an operator's command came from. The value stands in recordings, on the page and in MQTT."""
 
     PAGE = "page"
     MQTT = "MQTT"
@@ -85,10 +82,7 @@ class CommandSource(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class OperatorCommand:
-    """One decision of the operator on one vehicle; it wins over all evidence until withdrawn.
-
-    `source` is None in recordings of version 0.1, which do not hold it.
-    """
+    """The operator's decision on one vehicle, over all evidence. `source` is None in recordings of 0.1."""
 
     sysid: int
     received_at_s: float
@@ -175,10 +169,7 @@ class HoldBack:
 
 @dataclass(frozen=True, slots=True)
 class SwitchedByOther:
-    """The other service has switched a vehicle's own receiver while ours is held back.
-
-    With `held` False it no longer is.
-    """
+    """The other service switched a vehicle's receiver while ours is held back; not `held`: no longer."""
 
     received_at_s: float
     receiver: SwitchedReceiver

@@ -54,10 +54,7 @@ class ExternalPosition:
 
 @dataclass(frozen=True, slots=True)
 class GlobalPositionSensor:
-    """GLOBAL_POSITION_SENSOR (296) to one vehicle: where it is when the message arrives.
-
-    `eph_m`, `epv_m` are 1-sigma.
-    """
+    """GLOBAL_POSITION_SENSOR (296): where a vehicle is as it arrives; `eph_m`, `epv_m` are 1-sigma."""
 
     sysid: int
     time_usec: int
@@ -131,10 +128,7 @@ class ParameterRequest:
 
 @dataclass(frozen=True, slots=True)
 class ParameterSet:
-    """PARAM_SET (23): changes one parameter of one vehicle, which answers with PARAM_VALUE.
-
-    `kind` is a MAV_PARAM_TYPE.
-    """
+    """PARAM_SET (23): changes a parameter, and is answered with PARAM_VALUE; `kind`: a MAV_PARAM_TYPE."""
 
     sysid: int
     name: str
@@ -169,10 +163,7 @@ class StreamRequest:
 
 @dataclass(frozen=True, slots=True)
 class TimeSyncRequest:
-    """TIMESYNC (111) with tc1 0: requests the clock of one autopilot.
-
-    It has no target field: it is for that vehicle's own address alone.
-    """
+    """TIMESYNC (111) with tc1 0: requests an autopilot's clock. Without a target: for its address alone."""
 
     sysid: int
     ts1_ns: int
@@ -190,10 +181,7 @@ class Notice:
 
 @dataclass(frozen=True, slots=True)
 class HealthChanged:
-    """The GPS health of a vehicle went from one state to another.
-
-    States are `GpsState` values, the reason is in words.
-    """
+    """The GPS health of a vehicle went from one `GpsState` value to another, with the reason in words."""
 
     at_s: float
     sysid: int

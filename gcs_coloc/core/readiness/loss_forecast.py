@@ -64,10 +64,7 @@ class LossSituation:
 def forecast(
     situation: LossSituation, answers: Sequence[Estimate | NoEstimate], aiding: AidingSettings, protection: ProtectionSettings
 ) -> VehicleReadiness:
-    """Return the readiness of a vehicle, from what an estimator predicts after a loss of GPS.
-
-    `answers` are the predictions from the loss up to the horizon, in order of time.
-    """
+    """Return the readiness of a vehicle by its predictions from the loss up to the horizon, in order."""
     begin_s = answers[0].at_s
     policy = FixPolicy(aiding, begin_s)
     # At the loss itself no range has been used yet.

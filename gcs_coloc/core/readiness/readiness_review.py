@@ -47,10 +47,7 @@ _MOST_RANGES = 600
 
 
 class RecentRanges:
-    """The ranges of each vehicle of the last seconds, as the estimator got them, oldest first.
-
-    A range is one of both its ends; stations keep none.
-    """
+    """The last seconds' ranges by vehicle at either end, as the estimator got them, oldest first."""
 
     def __init__(self) -> None:
         self._of: defaultdict[int, deque[RangeMeasurement]] = defaultdict(partial(deque, maxlen=_MOST_RANGES))

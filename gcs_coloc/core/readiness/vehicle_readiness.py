@@ -22,10 +22,7 @@ IN_LINE_HDOP = 5.0
 
 
 class ReadinessState(StrEnum):
-    """Whether a healthy vehicle would be located if its GPS failed now.
-
-    Its value stands in messages and recordings.
-    """
+    """Whether a healthy vehicle would be located without GPS. The value stands in messages and recordings."""
 
     READY = "ready"
     """It would have a fix for the next half minute, and the ranges test every receiver that it rests on."""

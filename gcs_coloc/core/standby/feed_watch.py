@@ -139,10 +139,7 @@ class FeedWatch:
         return now_s - since_s >= _LISTEN_S
 
     def fed_vehicle(self, now_s: float, since_s: float = float("-inf")) -> int | None:
-        """Return a vehicle that the other service feeds; None where no vehicle shows that.
-
-        Only what vehicles have shown after `since_s` counts.
-        """
+        """Return a vehicle that has shown after `since_s` that the other service feeds it; None without one."""
         for sysid, vehicle in self._vehicles.items():
             fed_at_s = self._fed_at_s(vehicle, now_s)
             if fed_at_s > since_s and now_s - fed_at_s <= self._silent_after_s:

@@ -224,10 +224,7 @@ class OtherService:
 
     @property
     def lets_us_go_first(self) -> bool:
-        """Whether we go first where both services could.
-
-        The one with the lower component id does.
-        """
+        """Whether we go first where both services could: the one with the lower component id does."""
         return self.identity is None or self._own < self.identity
 
 

@@ -171,10 +171,7 @@ class StandbyPeer:
         return SignOfLife(self.own, self._run, self._number, *self._other.echo, self.state, self.term, wish, shared)
 
     def may_send(self, sysid: int, now_s: float) -> bool:
-        """Return whether a vehicle may now be sent something that changes what it does.
-
-        Call it right before sending: where it may, the vehicle counts as fed from now on.
-        """
+        """Return whether a vehicle may be changed now; ask right before sending, as it then counts as fed."""
         self._look_at_time(now_s)
         if self.state is not StandbyState.ACTIVE:
             return False

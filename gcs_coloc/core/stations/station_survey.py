@@ -222,10 +222,7 @@ def _place_at(reported: PositionMeasurement, at_s: float) -> Vector3 | None:
 
 
 def _fit(starts: FloatArray, positions: FloatArray, ranges: FloatArray, variances: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return cost (S,) and state (S, 4), place and bias, at the minima near S starts.
-
-    Levenberg-Marquardt with Huber's weights.
-    """
+    """Return cost (S,) and state (S, 4) at the minima near S starts: Levenberg-Marquardt, Huber's weights."""
     x = np.column_stack([starts, np.zeros(len(starts))])
     prior = np.array([0.0, 0.0, 0.0, _BIAS_SIGMA_M**-2])
     damping = np.full(len(x), 1e-3)
@@ -250,10 +247,7 @@ def _fit(starts: FloatArray, positions: FloatArray, ranges: FloatArray, variance
 
 
 def _covariance(H: FloatArray, samples: list[_Sample], variances: FloatArray) -> FloatArray:
-    """Return the covariance (3, 3) of a station's position, m^2.
-
-    The lasting errors of ranges and receivers are in it.
-    """
+    """Return a station's covariance (3, 3), m^2, with the lasting errors of ranges and receivers."""
     vehicles = sorted({s.vehicle for s in samples})
     owner = np.array([vehicles.index(s.vehicle) for s in samples])
     offsets = np.zeros((len(samples), len(vehicles), 3))

@@ -27,10 +27,7 @@ _AIRSPEED_FRESH_S = 1.0  # chosen: five periods of VFR_HUD at the requested rate
 
 
 class BuiltPosition(NamedTuple):
-    """The position that a vehicle reports, and the measurement that it is evidence for, if any.
-
-    The position is there whether it is believed or not.
-    """
+    """The position that a vehicle reports, believed or not, and the measurement that it is evidence for."""
 
     reported: PositionMeasurement
     measurement: PositionMeasurement | AltitudeMeasurement | None
@@ -173,10 +170,7 @@ class MeasurementBuilder:
         )
 
     def range(self, message: PeerRange, vehicle: ReportedState, peer: ReportedState | Station | None) -> BuiltRange:
-        """Build a range of a vehicle to another one or to a station.
-
-        `peer` is None where the other end was never heard.
-        """
+        """Build a range of a vehicle to a vehicle or station; `peer` is None where that was never heard."""
         if peer is None:
             self.refused[CoreRefusal.RANGE_PEER_UNKNOWN] += 1
             return BuiltRange(None)

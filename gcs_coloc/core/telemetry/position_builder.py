@@ -121,10 +121,7 @@ def receiver_position(
     frame: LocalFrame,
     settings: MeasurementSettings,
 ) -> PositionMeasurement:
-    """Return the fix of a vehicle's receiver, with the velocity that its autopilot reported last.
-
-    What the age of the fix means at that speed is in `sigma_h_m`.
-    """
+    """Return a receiver's fix with the autopilot's last velocity; at that speed its age is in `sigma_h_m`."""
     ned_mps = (position.vn_mps, position.ve_mps, position.vd_mps) if position is not None else (0.0, 0.0, 0.0)
     return _measure(fix, ned_mps, receiver_accuracy(fix, settings), measured, frame)
 

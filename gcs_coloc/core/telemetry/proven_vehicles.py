@@ -66,10 +66,7 @@ class _Sender:
 
 
 class ProvenVehicles:
-    """The proven vehicles of one fleet.
-
-    Call `add` for each vehicle that is new, and `review` for all of them several times a second.
-    """
+    """The proven vehicles of one fleet: `add` each new vehicle, `review` all several times a second."""
 
     def __init__(self) -> None:
         self._senders: dict[int, _Sender] = {}
@@ -90,10 +87,7 @@ class ProvenVehicles:
         return sender is not None and sender.is_proven
 
     def update(self, vehicle: ReportedState, at_s: float) -> None:
-        """Update what is known of a vehicle of which a message has arrived.
-
-        Call it before the vehicle's reported state is updated.
-        """
+        """Update a vehicle of which a message has arrived, before its reported state is updated."""
         sender = self._senders[vehicle.sysid]
         if at_s - vehicle.last_heard_s > SILENT_S and vehicle.route_at_s is not None:
             sender.has_returned = sender.has_returned or sender.is_proven
@@ -129,10 +123,7 @@ class ProvenVehicles:
             fit.at_s = at_s
 
     def review(self, vehicles: Collection[ReportedState], vouched: Collection[int], now_s: float) -> list[Notice]:
-        """Find the vehicles that are proven now; return what is to be told.
-
-        `vouched` are those that the operator declares healthy.
-        """
+        """Find who is proven now, the `vouched` by the operator among them; return what is to be told."""
         out: list[Notice] = []
         is_founding = self._began_s is not None and now_s - self._began_s < FOUNDING_S
         any_alone = any(vehicle.blocked is None for vehicle in vehicles)
@@ -157,10 +148,7 @@ class ProvenVehicles:
         return out
 
     def replaceable(self, vehicles: Collection[ReportedState], now_s: float) -> list[int]:
-        """Return the vehicles that may make room for a new one, the longest silent first.
-
-        They never were proven, and are silent or share their address.
-        """
+        """Return who may make room, the longest silent first: never proven, and silent or of a shared address."""
         unproven = [v for v in vehicles if not self._senders[v.sysid].is_proven and not self._senders[v.sysid].has_returned]
         found = [v for v in unproven if v.blocked is RouteBlock.SHARED_ADDRESS or now_s - v.last_heard_s > SILENT_S]
         return [vehicle.sysid for vehicle in sorted(found, key=lambda vehicle: vehicle.last_heard_s)]
@@ -182,10 +170,7 @@ class ProvenVehicles:
 
 
 def _apart_m(one: PositionMeasurement, other: PositionMeasurement, at_s: float) -> tuple[float, float] | None:
-    """Return the distance of two reported positions at a time, and its 1-sigma, m.
-
-    None where one of the positions is too old.
-    """
+    """Return distance and 1-sigma of two reported positions at a time, m; None where one is too old."""
     places = []
     for position in (one, other):
         since_s = at_s - position.measured_at_s

@@ -64,10 +64,7 @@ class RepeatedRange:
     _step_m: float = inf
 
     def add(self, range_m: float, measured_at_s: float | None) -> bool:
-        """Add a range (m) with the time on the device's own clock, if it has one; return `stuck`.
-
-        The same measurement heard twice is known by its time and is no repeat.
-        """
+        """Add a range (m); return `stuck`. By its device's time a measurement heard twice is no repeat."""
         if measured_at_s is not None and measured_at_s == self._measured_at_s:
             return self.stuck
         self._measured_at_s = measured_at_s
@@ -122,10 +119,7 @@ class _Departed(NamedTuple):
 
 @dataclass(slots=True)
 class RangeTrack:
-    """The recent ranges of one device to one peer.
-
-    `excess_m`: by how much they are too long since they jumped.
-    """
+    """The recent ranges of one device to one peer; `excess_m` too long since they jumped."""
 
     excess_m: float = 0.0
     _samples: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=_SAMPLES))
@@ -193,10 +187,7 @@ class RangeTrack:
         return departure_m, 1.0 + 1.0 / n + ahead_s**2 / squares_s2, bent_s2
 
     def _is_second(self, at_s: float, departure_m: float, needed_m: float) -> bool:
-        """Return whether a range departs as the one before it did.
-
-        Half the limit is enough for it, as the first one was beyond chance.
-        """
+        """Return whether a range departs as the one before did; half the limit is enough for a second one."""
         before = self._departed
         return (
             before is not None

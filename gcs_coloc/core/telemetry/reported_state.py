@@ -82,18 +82,12 @@ class ReportedState:
     counts: Counter[Stream] = field(default_factory=Counter)
 
     def has_absolute_position(self, now_s: float) -> bool:
-        """Return whether its EKF has reported of late that it has an absolute horizontal position.
-
-        It has been aligned then.
-        """
+        """Return whether its EKF has reported an absolute horizontal position of late: it has been aligned."""
         ekf = self.ekf
         return ekf is not None and ekf.horizontal_position_absolute and now_s - ekf.received_at_s <= _EKF_FRESH_S
 
     def has_air_data(self, now_s: float) -> bool:
-        """Return whether its airspeed and attitude show how it moves through the air.
-
-        They do where it flies on wings, is fast enough, and has reported both of late.
-        """
+        """Return whether airspeed and attitude, both of late, show the motion: on wings and fast enough."""
         air, attitude = self.airspeed, self.attitude
         if not self.winged or air is None or attitude is None or air.airspeed_mps < LEAST_AIRSPEED_MPS:
             return False
@@ -101,10 +95,7 @@ class ReportedState:
 
 
 class Telemetry:
-    """The reported states of one fleet, one a vehicle; at most `max_vehicles` of them.
-
-    `own_receiver` is the instance of a vehicle's own GPS receiver, which the service does not feed.
-    """
+    """The reported states of at most `max_vehicles`; the service does not feed their `own_receiver`."""
 
     def __init__(self, max_vehicles: int, own_receiver: int = 0) -> None:
         self.own_receiver = own_receiver

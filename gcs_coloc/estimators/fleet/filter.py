@@ -70,10 +70,7 @@ class FleetFilter:
         )
 
     def reset(self, vehicle: int, at_s: float) -> None:
-        """Discard a denied vehicle's state and initialise it anew from ranges.
-
-        It is trusted and denied again at one time.
-        """
+        """Initialise a denied vehicle anew from ranges: it is trusted and denied again at one time."""
         denied = self._denied
         self.set_denied(denied - {vehicle}, at_s)
         self.set_denied(denied, at_s)

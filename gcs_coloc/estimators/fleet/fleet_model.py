@@ -98,10 +98,7 @@ class FleetModel:
         self._pruned_at_s = other._pruned_at_s
 
     def import_vehicles(self, other: FleetModel, vehicles: tuple[int, ...]) -> None:
-        """Copy vehicles that are in no cluster of this model from another model.
-
-        A vehicle's cluster is copied too, unless one of its vehicles is in a cluster here.
-        """
+        """Copy clusterless vehicles from another model, with their clusters where none of these is here."""
         for vehicle in vehicles:
             if vehicle in self.clusters or vehicle not in other.records:
                 continue
@@ -255,10 +252,7 @@ class FleetModel:
         return result
 
     def _consider_bias(self, cluster: Cluster, pair: Key, bias: PairBias | None) -> None:
-        """Set the sigma of a pair's bias to what its ranges have shown, eq. (33).
-
-        A bias that was found is corrected by no range.
-        """
+        """Set the sigma of a pair's bias to what its ranges have shown, eq. (33); no range corrects one found."""
         usual_m = self.settings.range_bias_sigma_m
         before_m, now_m = self.considered_m.get(pair, usual_m), usual_m if bias is None else bias.sigma_m
         if now_m != before_m:
@@ -269,10 +263,7 @@ class FleetModel:
             self.considered_m.pop(pair, None)
 
     def _initialise_ends(self, ends: tuple[int, int], at_s: float) -> UpdateResult | None:
-        """Initialise the ends of a range that have no states.
-
-        Return what became of the range if it is not used, else None.
-        """
+        """Initialise ends of a range without states; return what became of the range if it is not used."""
         for vehicle in ends:
             if vehicle in self.clusters:
                 continue
@@ -320,10 +311,7 @@ class FleetModel:
         return estimate_of_cluster(cluster, vehicle, at_s)
 
     def _estimate_without_state(self, vehicle: int, record: VehicleRecord, at_s: float) -> Estimate | NoEstimate:
-        """Estimate a healthy vehicle from its own reports, or return why there is no estimate.
-
-        For a denied vehicle the reason is that in its record.
-        """
+        """Estimate a healthy vehicle from its reports; of a denied one return the reason in its record."""
         if record.denied_vehicle or record.last_position is None:
             return NoEstimate(vehicle, at_s, record.no_estimate_reason)
         age_s = at_s - record.last_position.measured_at_s

@@ -123,10 +123,7 @@ def _keep_partial_gap(cluster: Cluster, record: VehicleRecord, at_s: float) -> N
 
 
 def _last_told(cluster: Cluster, record: VehicleRecord, at_s: float) -> list[tuple[float, Neighbour]]:
-    """Return the last range of each neighbour with the time, s, until which it tells of the position.
-
-    The latest time comes first.
-    """
+    """Return each neighbour's last range with the time, s, until which it tells, the latest first."""
     told = [(min(n.at_s, _known_until_s(cluster, other, at_s)), n) for other, n in record.neighbours.items()]
     return sorted(told, key=lambda each: -each[0])
 

@@ -117,10 +117,7 @@ class FleetHypotheses:
         return result
 
     def _search_all_places(self, vehicle: int, at_s: float) -> None:
-        """Search a vehicle at the places of all models once one of them searches it.
-
-        Its hypotheses end: there is none beside a search.
-        """
+        """Search a vehicle at the places of all models once one searches it: its hypotheses end."""
         of_vehicle = {group: h for group, h in self.hypotheses.items() if vehicle in group}
         if not of_vehicle:
             return
@@ -172,10 +169,7 @@ class FleetHypotheses:
     def _reflection_plane(
         self, cluster: Cluster, denied_vehicle: int, before: SavedEstimate | None, at_s: float
     ) -> ReflectionPlane | None:
-        """Return the plane on whose other side a denied vehicle may be, or None.
-
-        It is a plane for this vehicle alone, not for a group.
-        """
+        """Return the plane on whose other side a denied vehicle alone, not in a group, may be, or None."""
         evidence = self.main.records[denied_vehicle].reflection_evidence
         plane = plane_of_refused_ranges(evidence, cluster, denied_vehicle, at_s)
         plane = plane or find_reflection_plane(cluster, denied_vehicle, at_s)
@@ -186,10 +180,7 @@ class FleetHypotheses:
         return plane
 
     def _decide(self, group: frozenset[int], at_s: float) -> None:
-        """Decide between the main model and a hypothesis, where that is possible.
-
-        `group` holds the denied vehicles that are reflected in the hypothesis.
-        """
+        """Decide, where possible, between the main model and the hypothesis that a `group` is reflected."""
         hypothesis = self.hypotheses[group]
         cluster, other = _common(self.main, group), _common(hypothesis.model, group)
         if cluster is None or other is None:
@@ -226,10 +217,7 @@ class FleetHypotheses:
             del self.hypotheses[group]
 
     def _replace_main(self, group: frozenset[int], won: ReflectionHypothesis) -> None:
-        """Replace the main model by a hypothesis that won.
-
-        The others of its cluster become hypotheses of what differs from the new main model.
-        """
+        """Replace the main model by a hypothesis that won; the others are compared with the new one."""
         self.main.replace_from(won.model, min(group))
         others: dict[frozenset[int], ReflectionHypothesis] = {}
         for reflected, hypothesis in self.hypotheses.items():
@@ -299,10 +287,7 @@ class FleetHypotheses:
 
 
 def _are_apart(a: Estimate, b: Estimate) -> bool:
-    """Return whether the mean of two estimates is at neither of their places.
-
-    No mixture of them is a place then.
-    """
+    """Return whether the mean of two estimates is at neither place: no mixture of them is a place."""
     d = (b.position_enu_m - a.position_enu_m)[:2]
     return min(float(d @ np.linalg.solve(one.covariance[:2, :2], d)) for one in (a, b)) > 4.0 * _APART_NIS
 

@@ -169,10 +169,7 @@ def block_from_report(
 
 
 def block_from_estimate(mean: FloatArray, covariance: FloatArray, s: FleetSettings) -> tuple[FloatArray, FloatArray]:
-    """Return mean (16,) and covariance (16, 16) of a vehicle from position and velocity alone.
-
-    `mean` (6,) and `covariance` (6, 6) are those of position and velocity.
-    """
+    """Return mean (16,) and covariance (16, 16) from those (6,), (6, 6) of position and velocity."""
     x = np.zeros(SIZE)
     P = np.zeros((SIZE, SIZE))
     x[:6] = mean

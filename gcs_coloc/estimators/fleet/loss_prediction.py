@@ -61,10 +61,7 @@ _STEADY = ManoeuvreDetector(c_e=math.sqrt(2.0 * math.sqrt(_STEADY_GAIN)), C_ee=1
 
 
 def predict_loss(model: FleetModel, query: LossQuery) -> list[Estimate | NoEstimate]:
-    """Predict the estimates of a healthy vehicle as if it were denied from now on.
-
-    The first is at the time of its loss. The others follow step by step up to the horizon.
-    """
+    """Predict a healthy vehicle's estimates from a loss at this time step by step to the horizon."""
     at_s, cluster = query.at_s, _cluster_alone(model, query.vehicle, query.at_s)
     if cluster is None:
         return [model.estimate(query.vehicle, at_s)]
@@ -108,10 +105,7 @@ def _cluster_alone(model: FleetModel, vehicle: int, at_s: float) -> Cluster | No
 
 
 class _LossPrediction:
-    """The filter of one vehicle alone, by which the loss of its GPS is predicted.
-
-    `delay_s` is how long after its measuring a range arrives.
-    """
+    """The filter of one vehicle whose loss is predicted; a range arrives `delay_s` after its measuring."""
 
     def __init__(self, model: FleetModel, query: LossQuery, cluster: Cluster) -> None:
         self._settings = model.settings

@@ -64,10 +64,7 @@ def _newest_height(record: VehicleRecord, at_s: float) -> AltitudeMeasurement | 
 
 
 def presume_bias(record: VehicleRecord, sigma_m: float, s: FleetSettings) -> None:
-    """Presume biases that nothing has shown, once ranges are so precise that these matter.
-
-    `sigma_m` is the stated sigma of a single range.
-    """
+    """Presume biases that nothing has shown, once a single range's sigma is so small that they matter."""
     if record.presumed_bias is None and sigma_m < _TELLING_SIGMAS * s.unknown_device_bias_m:
         device_m, pair_m = _MOST_OF_A_DEVICE * sigma_m, _MOST_OF_A_PAIR * sigma_m
         record.presumed_bias = UnknownBias(min(s.unknown_device_bias_m, device_m), min(s.unknown_pair_bias_m, pair_m))
@@ -75,10 +72,7 @@ def presume_bias(record: VehicleRecord, sigma_m: float, s: FleetSettings) -> Non
 
 
 def unknown_errors(denied: Sequence[tuple[int, int, VehicleRecord]], pair: PairKey) -> list[tuple[UnknownKey, float]]:
-    """Return the unknown biases in a range, each with its share in the range's error.
-
-    Between two denied vehicles, whose devices are alike, each has half.
-    """
+    """Return a range's unknown biases, each with its share: half of each end between two denied ones."""
     share = 1.0 / len(denied)
     return [
         (key, share)
@@ -89,10 +83,7 @@ def unknown_errors(denied: Sequence[tuple[int, int, VehicleRecord]], pair: PairK
 
 
 def unknown_bias_covariance(cluster: Cluster, vehicle: int, step_s: float) -> FloatArray:
-    """Return the covariance (6, 6) that unknown biases add to position and velocity, eq. (38).
-
-    It holds at the time `step_s` after that of the vehicle's states.
-    """
+    """Return the covariance (6, 6) that unknown biases add `step_s` after the states' time, eq. (38)."""
     joint, places, sigmas_m = cluster.joint, [], []
     for key, place in joint.where.items():
         if isinstance(key, UnknownKey):

@@ -36,10 +36,7 @@ Model = TypeVar("Model", bound=Replayable)
 
 
 class Entry(Generic[Event]):
-    """One event with its key.
-
-    `outcome` is that of its last application. `reported` says whether its residual was handed out.
-    """
+    """One event: `outcome` of its last application; `reported`: its residual was handed out."""
 
     __slots__ = ("event", "key", "outcome", "reported")
 

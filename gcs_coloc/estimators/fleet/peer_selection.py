@@ -21,10 +21,7 @@ _PRIOR_INFORMATION = 1e-3
 
 
 def is_selected(clusters: ClusterSet, denied_vehicle: int, other: int, at_s: float) -> bool:
-    """Return whether a denied vehicle uses the ranges of another one; selects anew every 2 s.
-
-    The denied vehicle's record is changed, so it must be writable.
-    """
+    """Return whether a denied vehicle (of a writable record) uses another's ranges; select every 2 s."""
     record, s = clusters.records[denied_vehicle], clusters.settings
     if other not in record.selected_peers and len(record.last_range_s) <= s.peers_per_denied_vehicle:
         record.selected_peers = frozenset(record.last_range_s)
@@ -50,10 +47,7 @@ def _select_anew(clusters: ClusterSet, denied_vehicle: int, fresh: list[int]) ->
 
 
 def rough_position(clusters: ClusterSet, vehicle: int) -> FloatArray | None:
-    """Return the position (3,) of a vehicle's states, m, or else the one that it reported last.
-
-    None means that it has neither.
-    """
+    """Return the position (3,) of a vehicle's states, m, else the last reported one, else None."""
     cluster, record = clusters.get(vehicle), clusters.records.get(vehicle)
     if record is None:
         return None

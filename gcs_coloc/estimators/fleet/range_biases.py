@@ -63,10 +63,7 @@ Ranged = tuple[int, int]
 
 
 class BiasSample(NamedTuple):
-    """One range of a denied vehicle to a peer that is not denied.
-
-    `peer_m` is the peer's position.
-    """
+    """One range of a denied vehicle to a peer at `peer_m` that is not denied."""
 
     at_s: float
     peer: Ranged
@@ -102,10 +99,7 @@ class BiasWindow:
 
 
 class UnknownBias(NamedTuple):
-    """Sigmas of lasting errors that ranges have neither shown nor ruled out, m.
-
-    One is that of the vehicle's device, the other that of each pair.
-    """
+    """Sigmas of a device's and of each pair's lasting errors, m, neither shown nor ruled out."""
 
     device_m: float
     pair_m: float
@@ -177,10 +171,7 @@ class RangeBiases:
         return replace(after, found=_find(after, observed, least_m, presumed), unknown=_not_ruled_out(observed, presumed))
 
     def change(self) -> float:
-        """Return how large the errors of pairs were seen to be, eq. (45).
-
-        It is a multiple of what is presumed of them.
-        """
+        """Return the multiple of what is presumed that the errors of pairs were seen to be, eq. (45)."""
         best = int(np.argmax(self.evidence))
         return _CHANGES[best] if self.evidence[best] - self.evidence[0] > _CHANGE_LOG_RATIO else 1.0
 
@@ -237,10 +228,7 @@ class _Information(NamedTuple):
 
 
 def _information(window: BiasWindow, bias_m: Callable[[Ranged], float]) -> _Information | None:
-    """Return what a window tells of the biases, whatever the motion in it, eq. (31).
-
-    None means that its ranges are too few, or that a peer is at the vehicle's place.
-    """
+    """Return what a window tells of biases, eq. (31); None for few ranges, or a peer at its place."""
     samples = window.samples
     peers = sorted({sample.peer for sample in samples})
     k, n = len(peers), len(samples)

@@ -54,10 +54,7 @@ class ReflectionHypothesis:
     _raised: float = 0.0
 
     def add_evidence(self, gain: float, at_s: float) -> None:
-        """Add the log-likelihood ratio of one measurement to the log odds, eq. (24).
-
-        The sum over a manoeuvre is bounded where only motion separates the two models.
-        """
+        """Add a log-likelihood ratio, eq. (24); its sum over a manoeuvre is bounded if motion alone tells."""
         if not self.motion_only:
             self.log_odds += gain
             self._since_s = -math.inf
@@ -72,10 +69,7 @@ class ReflectionHypothesis:
         self.log_odds, self._since_s = 0.0, -math.inf
 
     def compare_with(self, other: ReflectionHypothesis) -> None:
-        """Change the odds to those against another hypothesis.
-
-        The odds of both were against the same model so far.
-        """
+        """Change the odds, against the main model so far, to those against another hypothesis."""
         if self.motion_only or other.motion_only:
             # Bounded evidence says how the motion was, and not by how much one of the two fits better.
             self.reset_odds()

@@ -26,10 +26,7 @@ _UNSHOWN_LOG_ODDS = -3.0
 
 
 def is_searching(clusters: ClusterSet, vehicle: int, other: int, m: RangeMeasurement) -> bool:
-    """Return whether a denied vehicle is searched; begin its search if this range needs one.
-
-    It does where the vehicle is too uncertain to linearise the range.
-    """
+    """Return whether a vehicle is searched; begin where it is too uncertain to linearise this range."""
     record, cluster = clusters.records[vehicle], clusters.get(vehicle)
     if cluster is None:
         return record.search is not None
@@ -73,10 +70,7 @@ def search_with(clusters: ClusterSet, vehicle: int, search: PositionSearch | Non
 
 
 def search_with_range(clusters: ClusterSet, vehicle: int, other: int, m: RangeMeasurement) -> Outcome:
-    """Update the search of a denied vehicle with a range, and return the outcome.
-
-    With one place left, the vehicle's states are initialised there.
-    """
+    """Update a search with a range; with one place left, initialise the vehicle's states there."""
     record, at_s = clusters.records[vehicle], m.measured_at_s
     assert record.search is not None
     there = _locate_peer(clusters, other, at_s)

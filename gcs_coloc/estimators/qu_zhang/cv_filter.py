@@ -29,10 +29,7 @@ def transition(dt_s: float, axes: int) -> FloatArray:
 
 
 def step_noise(q_per_step_m2ps2: float, axes: int) -> FloatArray:
-    """Return Q as in the paper: q on each velocity and nothing on position (Eq. 28 and 38).
-
-    Its shape is (2 axes, 2 axes).
-    """
+    """Return the paper's Q (2 axes, 2 axes): q on each velocity, nothing on position (Eq. 28 and 38)."""
     return _each_axis([[0.0, 0.0], [0.0, q_per_step_m2ps2]], axes)
 
 
@@ -160,10 +157,7 @@ class CvFilter:
         return {vehicle: F @ one for vehicle, one in self.sensitivities.items()}
 
     def innovation(self, z: FloatArray, R: FloatArray, H: FloatArray, at_s: float) -> tuple[FloatArray, FloatArray]:
-        """Return the innovation of a measurement z = H x made at `at_s`, and its covariance.
-
-        Their shapes are (m,) and (m, m).
-        """
+        """Return innovation (m,) and covariance (m, m) of a measurement z = H x made at `at_s`."""
         state, covariance = self.predicted(at_s)
         return z - H @ state, H @ covariance @ H.T + R
 
@@ -221,10 +215,7 @@ class CvFilter:
 
 
 def nis(innovation: FloatArray, covariance: FloatArray) -> float:
-    """Return the normalised innovation squared of an innovation (m,) and its covariance (m, m).
-
-    It is chi-square distributed with m degrees of freedom if the filter is consistent.
-    """
+    """Return the normalised innovation squared of (m,) and (m, m): chi-square (m) if consistent."""
     return float(innovation @ np.linalg.solve(covariance, innovation))
 
 

@@ -83,10 +83,7 @@ class DeniedVehicleFilter:
         self.accept(fix, at_s)
 
     def covariance(self, horizontal: CvFilter, at_s: float) -> FloatArray:
-        """Return the covariance, shape (4, 4), of the predicted state at a time.
-
-        It includes the lasting errors.
-        """
+        """Return the covariance (4, 4) of the predicted state at a time, lasting errors included."""
         white = horizontal.predicted(at_s)[1]
         return white + lasting_covariance(horizontal.predicted_sensitivities(at_s), self.lasting, 4)
 

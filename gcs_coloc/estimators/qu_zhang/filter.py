@@ -51,10 +51,7 @@ from gcs_coloc.estimators.qu_zhang.trilateration import range_residual
 
 
 class QuZhangOutcome(StrEnum):
-    """What became of a measurement or an epoch of ranges.
-
-    The values are the keys of `counts()` and the labels of the metric.
-    """
+    """What became of a measurement or an epoch: the keys of `counts()` and the labels of the metric."""
 
     NO_CLASS = "vehicle class not used by this estimator"
     NO_ATTITUDE = "attitude not used by this estimator"

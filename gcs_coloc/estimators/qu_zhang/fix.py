@@ -114,10 +114,7 @@ def solve(
 def _supporters(
     candidates: list[Circle], fixes: FloatArray, fix_covariances: FloatArray, height_variance_m2: float, nis_limit: float
 ) -> FloatArray:
-    """Return how many of all circles go through each fix, shape (N,).
-
-    `fixes` is of shape (N, 2), `fix_covariances` of shape (N, 2, 2).
-    """
+    """Return how many circles go through each fix, shape (N,), of fixes (N, 2), covariances (N, 2, 2)."""
     offsets = fixes[:, np.newaxis] - np.array([one.centre_m for one in candidates])
     residual = np.array([one.squared_m2 for one in candidates]) - (offsets**2).sum(axis=-1)
     centre = np.array([one.centre_covariance + one.lasting_covariance[:2, :2] for one in candidates])
@@ -152,10 +149,7 @@ def _distance_nis(differences: FloatArray, covariances: FloatArray) -> FloatArra
 
 
 def published_covariance(fix: Fix, circles: list[Circle], predicted_m: FloatArray | None) -> FloatArray:
-    """Return the covariance, shape (2, 2), m^2, that the paper gives the fix (Eq. 23-26).
-
-    Its s_i^2 come from the peers' filters alone.
-    """
+    """Return the paper's covariance (2, 2), m^2 (Eq. 23-26), with s_i^2 of the peers' filters alone."""
     chosen = [one for one in circles if one.peer in fix.peers]
     at = fix.position_m if predicted_m is None else predicted_m
     centres = np.array([one.centre_m for one in chosen])

@@ -58,10 +58,7 @@ class NisGate:
 
 @cache
 def threshold(probability: float, degrees_of_freedom: int) -> float:
-    """Return the NIS that a consistent measurement stays below with the given probability.
-
-    It is a quantile of the chi-square distribution.
-    """
+    """Return the chi-square quantile that a consistent measurement's NIS stays below with a probability."""
     return float(chi2.ppf(probability, degrees_of_freedom))
 
 
@@ -154,10 +151,7 @@ class PeerTrack:
         )
 
     def add_position(self, measurement: PositionMeasurement) -> bool:
-        """Update with a position, and velocity where known; return whether the gate let it pass.
-
-        The first position starts the filters.
-        """
+        """Update with a position, and velocity where known, or start; return whether the gate let it pass."""
         if self.horizontal is None or self.vertical is None:
             self.start(measurement)
             return True

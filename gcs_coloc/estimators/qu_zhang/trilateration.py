@@ -42,10 +42,7 @@ def barycentric_gradients(points: FloatArray) -> FloatArray:
 
 
 def gains(centres: FloatArray) -> FloatArray:
-    """Return the first two rows of H^-1, shape (..., 2, 3), 1/m.
-
-    They are the move of the fix per m^2 in each squared range.
-    """
+    """Return the fix's move per m^2 in each squared range, 1/m: two rows of H^-1, (..., 2, 3)."""
     return np.asarray(-0.5 * barycentric_gradients(centres))
 
 

@@ -45,10 +45,7 @@ class GpsInputMethod(AidingMethod):
 
     @property
     def age_s(self) -> float:
-        """The age that the vehicle takes GPS_INPUT to have when it arrives, s.
-
-        It is GPS2_DELAY_MS (GPS1_DELAY_MS for the first receiver) where that is above 0, else `lag_s`.
-        """
+        """The age that the vehicle takes GPS_INPUT to have, s: GPS2_DELAY_MS where above 0, else `lag_s`."""
         delays_ms = (self._parameters.value(self._sysid, name) for name in DELAY_MS[self._gps_id])
         return next((min(ms, _MOST_DELAY_MS) / 1e3 for ms in delays_ms if ms is not None and ms > 0.0), self._lag_s)
 
@@ -215,10 +212,7 @@ class GpsInputOrExternalMethod(AidingMethod):
         return self._gps.without_fix()
 
     def _update_coarse(self, message: GpsInput, now_s: float) -> list[AidingMessage | Notice]:
-        """Update whether the fix is too coarse for the vehicle's EKF; return the notice of a change.
-
-        A fix must be coarse for `_COARSE_FOR_S`, or fine for `_FINE_FOR_S`, before it counts as that.
-        """
+        """Update whether the fix is too coarse, for long enough, for the EKF; return the notice of a change."""
         refusal = self._gates().refusal(message)
         if (refusal is None) == (self._coarse is None):
             self._changing_since_s = None

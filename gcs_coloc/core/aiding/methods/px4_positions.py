@@ -67,10 +67,7 @@ def _horizontal_m2(estimate: Estimate) -> float:
 
 
 class _FusedPosition(AidingMethod):
-    """A method whose position message PX4 stamps when it arrives.
-
-    The message cannot say that there is no fix, so nothing is sent then.
-    """
+    """A position message that PX4 stamps when it arrives; it cannot say that there is no fix."""
 
     def __init__(self, context: MethodContext) -> None:
         super().__init__(context)
@@ -110,10 +107,7 @@ class GlobalPositionSensorMethod(_FusedPosition):
 
 
 class VisionPositionMethod(_FusedPosition):
-    """VISION_POSITION_ESTIMATE (102), from the origin of the vehicle's own local frame.
-
-    It carries no orientation (NaN): a yaw that EKF2 took for measured would turn the vehicle.
-    """
+    """VISION_POSITION_ESTIMATE (102) from the vehicle's own origin; an orientation would turn the vehicle."""
 
     def __init__(self, context: MethodContext) -> None:
         super().__init__(context)

@@ -139,10 +139,7 @@ class Epoch:
         return frozenset(v for residual in self.residuals for v in residual.pair if not self.priors[v].no_prior)
 
     def without_priors(self, vehicles: Collection[int]) -> Epoch:
-        """Return the epoch where nothing is known of the horizontal position of some vehicles.
-
-        Where nothing changes it is the same object.
-        """
+        """Return the epoch without the horizontal priors of some vehicles; itself where nothing changes."""
         changed = {v: prior._replace(no_prior=True) for v in vehicles if (prior := self.priors.get(v)) and not prior.no_prior}
         return replace(self, priors={**self.priors, **changed}) if changed else self
 

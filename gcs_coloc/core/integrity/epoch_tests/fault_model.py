@@ -135,10 +135,7 @@ class FaultModel:
         return sorted(explanations, key=lambda each: each.cost)
 
     def linear_gains(self) -> FloatArray:
-        """Return by vehicle how much its horizontal fault would explain.
-
-        It is linearised at the reported positions.
-        """
+        """Return by vehicle how much its horizontal fault would explain, linear at the reported positions."""
         jacobian = self._jacobian(self._baselines_m)
         projector = self._without_free(self._weights(jacobian), jacobian)
         innovations = self._ranges_m - np.linalg.norm(self._baselines_m, axis=1)
@@ -260,10 +257,7 @@ def _size_m(kind: FaultKind, fault_m: FloatArray) -> float:
 
 
 def _two_times(own: Sequence[FloatArray], shared: FloatArray) -> FloatArray:
-    """Return the covariance of some variables at one time or at two.
-
-    Each variable is correlated with itself at the other time, and with no other variable.
-    """
+    """Return the covariance of variables at one time or two, each correlated with itself alone."""
     if len(own) == 1:
         return np.diag(own[0])
     return np.block([[np.diag(own[0]), np.diag(shared)], [np.diag(shared), np.diag(own[1])]])

@@ -72,10 +72,7 @@ class FaultTestResult:
     fit: Adjustment
 
     def offset_m(self, vehicle: int) -> FloatArray:
-        """Return the correction (2,) of a vehicle without prior if nobody is faulty, in m.
-
-        In directions that the ranges hardly determine it is reduced.
-        """
+        """Return the correction (2,), m, of a vehicle without prior if nobody is faulty, as far as determined."""
         return self.fit.placed_offset_m(vehicle, WELL_PLACED_SIGMA_M)
 
 
@@ -137,10 +134,7 @@ def _range_effects(fit: Adjustment) -> list[FaultEffect]:
 
 @lru_cache(maxsize=1024)
 def chi2_limit(dof: int, alpha: float) -> float:
-    """Return the value that a chi-square variable with `dof` degrees of freedom exceeds with `alpha`.
-
-    `alpha` is a probability.
-    """
+    """Return what a chi-square variable with `dof` degrees of freedom exceeds with probability `alpha`."""
     # Imported here: it takes a quarter of a second, which a start in flight does not have.
     from scipy.special import chdtri
 
@@ -196,10 +190,7 @@ class Adjustment:
         return float(gains[self._number, at]), int(ranks[self._number, at])
 
     def position_information(self, vehicle: int) -> FloatArray:
-        """Return the information (2, 2) on a horizontal fault of a reported position, 1/m^2.
-
-        A fault b adds b' I b to the statistic, with I the information.
-        """
+        """Return the information I (2, 2), 1/m^2, on a horizontal fault b, which adds b' I b to the statistic."""
         return np.asarray(self._solution.position_information[self._number, self._index[vehicle]])
 
     def position_effect(self, vehicle: int) -> FaultEffect:
@@ -238,9 +229,6 @@ class Adjustment:
         return float(np.hypot(*(self.horizontal(vehicle, now_m) - self.horizontal(vehicle, then_m))))
 
     def horizontal(self, vehicle: int, states: FloatArray) -> FloatArray:
-        """Return a vehicle's east and north (2,) of a state vector.
-
-        Of a vector of both epochs they are those in the present one.
-        """
+        """Return a vehicle's present east and north (2,) of a state vector."""
         i = 3 * self._index[vehicle]
         return states[i : i + 2]

@@ -92,10 +92,7 @@ class Isolation:
 
     @property
     def possible(self) -> frozenset[int]:
-        """The vehicles whose position is off in a plausible explanation that holds no smaller one.
-
-        Who may be off besides those of a smaller one is in `also`.
-        """
+        """The vehicles off in a plausible explanation that holds no smaller one; for others see `also`."""
         return frozenset().union(*(faulty for faulty, _ in self._smallest))
 
     @property
@@ -234,10 +231,7 @@ def _faulty(explanation: AdjustedHypothesis) -> frozenset[int]:
 
 
 def _with_usual_devices(explanation: AdjustedHypothesis) -> AdjustedHypothesis:
-    """Return the explanation, with a lower cost if it is a usual error of a device.
-
-    A device that is off by a usual length is likelier beforehand. The rest must be consistent.
-    """
+    """Return the explanation; it costs less if a device's usual error leaves a consistent rest."""
     dof = explanation.degrees_of_freedom
     is_usual = explanation.kind in _OF_DEVICES and explanation.size_m <= _USUAL_DEVICE_M
     if not is_usual or (dof and explanation.statistic > chi2_limit(dof, REST_LEVEL)):
@@ -246,10 +240,7 @@ def _with_usual_devices(explanation: AdjustedHypothesis) -> AdjustedHypothesis:
 
 
 def _device_m(found: Sequence[AdjustedHypothesis]) -> float:
-    """Return by how much a device is off, in m; 0 where it may be another fault.
-
-    The ranges must tell it from every other fault, with none likelier beforehand.
-    """
+    """Return by how much a device is off, m; 0 unless the ranges tell that from every other fault."""
     best = found[0]
     others = min((each.cost for each in found if each.kind not in _OF_DEVICES), default=inf)
     is_clear = best.kind in _OF_DEVICES and best.degrees_of_freedom > 0 and others > best.cost + RULED_OUT_MARGIN
@@ -267,10 +258,7 @@ def _penalty(hypothesis: Hypothesis, troubled: frozenset[int]) -> float:
 
 
 def _candidates(now: Epoch, model: FaultModel) -> list[int]:
-    """Return the reporting vehicles that may be at fault, by their place in the arrays.
-
-    Of more than `MAX_CANDIDATES` vehicles these are the ones whose fault explains most.
-    """
+    """Return the places of the reporting vehicles; of too many, of those whose fault explains most."""
     reporting = [at for at, vehicle in enumerate(model.arrays.vehicles) if not now.priors[vehicle].no_prior]
     if len(reporting) <= MAX_CANDIDATES:
         return reporting
@@ -279,10 +267,7 @@ def _candidates(now: Epoch, model: FaultModel) -> list[int]:
 
 
 def _hypotheses(now: Epoch, model: FaultModel, candidates: Sequence[int]) -> list[Hypothesis]:
-    """Return all fault hypotheses of an epoch.
-
-    They are faults in the present epoch, and where there is an earlier one, also faults in both.
-    """
+    """Return the hypotheses of faults in the present epoch, and in both where there is an earlier one."""
     arrays = model.arrays
     found: list[Hypothesis] = []
     nowhere, nothing = np.zeros((model.epochs, model.vehicles)), np.zeros((model.epochs * model.rows, 2))

@@ -126,19 +126,13 @@ class NoiseModel:
         yield from (replace(self, position_factor=factor) for factor in _POSITION_FACTORS if factor > self.position_factor)
 
     def with_device_error(self, size_m: float) -> NoiseModel | None:
-        """Return the model in which a device error of this size (m) is usual.
-
-        None where it is usual already, or where no model has it.
-        """
+        """Return the model in which a device error of this size (m) is usual; None where there is no new one."""
         least_m = size_m / _USUAL_SIGMAS
         enough = (replace(self, device_bias_m=bias_m) for bias_m in _RANGE_BIASES_M if bias_m >= least_m)
         return next(enough, None) if least_m > self.device_bias_m else None
 
     def with_coarser_positions(self) -> NoiseModel | None:
-        """Return the model with twice the factor on positions; None where that is too large.
-
-        Too large is more than the largest factor that counts.
-        """
+        """Return the model with twice the factor on positions; None beyond the largest factor that counts."""
         factor = 2.0 * self.position_factor
         return replace(self, position_factor=factor) if factor <= _POSITION_FACTORS[-1] else None
 
@@ -218,10 +212,7 @@ def likeliest_noise(epoch: Epoch, present: NoiseModel) -> LikeliestNoise | None:
 
 
 def _as_tested(epoch: Epoch) -> Epoch:
-    """Return the epoch where the errors of the devices are independent by pair.
-
-    The tests of faults take them so.
-    """
+    """Return the epoch with the errors of devices independent by pair, as the tests of faults take them."""
     apart = (r._replace(bias_m=hypot(r.bias_m, r.devices_m), devices_m=0.0) for r in epoch.residuals)
     return replace(epoch, residuals=tuple(apart))
 

@@ -81,10 +81,7 @@ class NormalEquations:
         self._weights[test, 0, 1, mine] = self._weights[test, 1, 0, mine] = -shared_m2 / determinant
 
     def _solve_by_newton(self) -> FloatArray:
-        """Solve by Newton's method; return the variances of the states without prior, m^2.
-
-        It solves again where a vehicle without prior has moved so far that its ranges bend.
-        """
+        """Solve, anew where ranges bend on the way; return the variances of states without prior, m^2."""
         vehicles, tests = len(self._now.vehicles), len(self._weights)
         # A move of d metres bends a range of r metres by d^2 / 2r.
         straight_m2 = 2.0 * _CURVATURE_SHARE * self._now.distance_times_sigma_m2
@@ -103,10 +100,7 @@ class NormalEquations:
         return variances_without_prior_m2
 
     def _linearise(self, shift: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the unit vectors and the residuals at shifted positions.
-
-        The residuals are those for corrections that count from the priors.
-        """
+        """Return unit vectors and residuals at shifted positions, for corrections that count from the priors."""
         i, j = self._now.ends
         moves = shift[:, :, i] - shift[:, :, j]
         moved = self._baselines_m + moves
@@ -171,10 +165,7 @@ class NormalEquations:
 
     @cached_property
     def position_information(self) -> FloatArray:
-        """The information of each test on a horizontal fault of each vehicle.
-
-        (tests, vehicles, 2, 2), 1/m^2: K - K (K + S^-1)^-1 K.
-        """
+        """The information on each vehicle's fault (tests, vehicles, 2, 2), 1/m^2: K - K (K + S^-1)^-1 K."""
         K, at = self.information, self._horizontal
         pulls = K[:, at]
         moved = np.array(
@@ -198,10 +189,7 @@ class NormalEquations:
 
 
 def _prior_information(now: EpochArrays, earlier: FloatArray, correlations: Sequence[float]) -> FloatArray:
-    """Return the prior information S^-1 (tests, states, states).
-
-    It has one 2x2 block over the two times for each axis of each vehicle.
-    """
+    """Return S^-1 (tests, states, states): a 2x2 block over the two times for each axis of each vehicle."""
     tests, size = earlier.shape
     # The inverse of [[1, c], [c, 1]] in units of the sigmas. A state without prior has no correlation over time.
     own = np.where(now.has_prior, [[1.0 / (1.0 - c * c)] for c in correlations], 1.0)
@@ -226,10 +214,7 @@ def _common_residuals(now: EpochArrays, then: EpochArrays) -> tuple[list[int], l
 
 
 def pseudo_inverse(A: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
-    """Return the pseudo-inverses of symmetric matrices (..., 2, 2), and their ranks.
-
-    Directions without information are left out.
-    """
+    """Return pseudo-inverses of symmetric matrices (..., 2, 2) without uninformed directions, and ranks."""
     a, b, d = A[..., 0, 0], A[..., 0, 1], A[..., 1, 1]
     mean, radius = eigenvalue_mean_and_radius(a, b, d, np.hypot)
     larger, smaller = mean + radius, mean - radius

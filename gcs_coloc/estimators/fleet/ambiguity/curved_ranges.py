@@ -77,10 +77,7 @@ def curvature_covariances(
 
 
 def variance_across_m2(cluster: Cluster, vehicle: int, normal: FloatArray, at_s: float) -> float:
-    """Return the variance of a denied vehicle's position along a unit normal (3,), m^2.
-
-    It has what curved ranges add to the covariance for the 95 % bound.
-    """
+    """Return the variance along a unit normal (3,), m^2, with what curved ranges add for the 95 % bound."""
     covariance = cluster.joint.covariance(vehicle)[POSITION, POSITION]
     curved = curvature_covariances(cluster, vehicle, covariance, at_s)
     variance_m2 = float(normal @ covariance @ normal)

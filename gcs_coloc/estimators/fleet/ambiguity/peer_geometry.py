@@ -72,18 +72,12 @@ class PeerGeometry:
                 break
 
     def least_range_sigmas_m(self) -> Iterator[float]:
-        """Yield lower bounds of the largest range sigma, m, the cheapest one first.
-
-        The first is a constant. The second is the sigma of the distance to one peer.
-        """
+        """Yield lower bounds of the largest range sigma, m: a constant, then that of the distance to a peer."""
         yield LEAST_SIGMA_M
         yield math.sqrt(max(float(self.difference_covariance(0)[0, 0]), 0.0))
 
     def difference_covariance(self, i: int) -> FloatArray:
-        """Return the covariance (4, 4) of the vector from peer i to the vehicle, m^2.
-
-        Its components are along the line between them, east, north and up.
-        """
+        """Return the covariance (4, 4), m^2, from peer i to the vehicle: along their line, east, north, up."""
         (e, n, u), (pe, pn, pu), distance_m = self.offset, self.offsets[i], self.distance_m[i]
         unit = ((e - pe) / distance_m, (n - pn) / distance_m, (u - pu) / distance_m)
         covariance = self.cluster.joint.predict_measurement(self.cluster.range_jacobian(self.own, self.peers[i], unit))[1]
@@ -172,10 +166,7 @@ class PeerGeometry:
 
 
 def _largest_sigma_m(cluster: Cluster, end: RangeEnd) -> float:
-    """Return an upper bound on the sigma of a vehicle's position in any direction, m.
-
-    It adds the sigmas of all errors as if these were fully correlated.
-    """
+    """Return an upper bound on a position's sigma in any direction, m, with all errors fully correlated."""
     A, p = cluster.joint.A, end.where.start
     position_sigma_m = math.sqrt(A.item(p, p) + A.item(p + 1, p + 1) + A.item(p + 2, p + 2))
     if end.time_stamp_offset_s is None:

@@ -52,10 +52,7 @@ _EITHER_SIDE_SIGMAS = 4.0
 
 
 def monitor_range(cluster: Cluster, vehicle: int, other: int, result: UpdateResult, m: RangeMeasurement) -> None:
-    """Record the result of a denied vehicle's range; inflate its covariance if the CUSUM test fails.
-
-    `other` is the vehicle at the other end of the range.
-    """
+    """Record the result of a range to `other`; inflate the covariance if the CUSUM test fails."""
     record = cluster.records[vehicle]
     if result.degrees_of_freedom > 0:
         record.reflection_evidence = update_reflection_evidence(record.reflection_evidence, cluster, vehicle, other, result, m)
@@ -176,10 +173,7 @@ def update_reflection_evidence(
 def plane_of_refused_ranges(
     evidence: ReflectionEvidence | None, cluster: Cluster, denied_vehicle: int, at_s: float
 ) -> ReflectionPlane | None:
-    """Return the plane on whose other side the refused ranges place a denied vehicle.
-
-    None means that the ranges are too few, or that the peers define no plane.
-    """
+    """Return the plane on whose other side refused ranges place a vehicle; None if too few, or no plane."""
     if evidence is None or evidence.ranges < _ENOUGH_RANGES:
         return None
     if _other_peers(cluster, denied_vehicle, evidence.neighbour, at_s) != evidence.peers:

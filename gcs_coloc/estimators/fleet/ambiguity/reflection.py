@@ -154,10 +154,7 @@ def vertical_plane_through_line(
 
 
 def vertical_plane_through(cluster: Cluster, denied_vehicle: int, peers: list[int], at_s: float) -> ReflectionPlane | None:
-    """Return the vertical plane that two or more peers are in, or None.
-
-    There is none where the peers are not on one line, or are all at one place.
-    """
+    """Return the vertical plane of two or more peers; None where these are on no line, or at one place."""
     view = PeerGeometry(cluster, denied_vehicle, peers, at_s)
     normal, along, longest_m2 = _axes_of_line(view)
     if longest_m2 < _LEAST_SPREAD_M**2:
@@ -226,10 +223,7 @@ def mixture(
 
 
 def _ranged_peers(cluster: Cluster, group: Collection[int], at_s: float) -> list[int]:
-    """Return the peers to which denied vehicles have recent ranges, used or refused.
-
-    A refused range separates the sides best.
-    """
+    """Return the peers with recent ranges, used or refused: a refused one separates the sides best."""
     ranged = {v: t for vehicle in group for v, t in cluster.records[vehicle].last_range_s.items() if at_s - t <= IN_USE_S}
     return [v for v in ranged if v in cluster.joint.where and v not in group]
 

@@ -93,10 +93,7 @@ class Transition:
         )
 
     def set_turn_column(self, step_s: float, lasting_s: float, ve_mps: float, vn_mps: float) -> None:
-        """Write the column of F for the turn rate, eq. (5), linearised at the velocity after the step.
-
-        `lasting_s` is the change of heading for each rad/s of turn rate.
-        """
+        """Write F's column of the turn rate, eq. (5); `lasting_s` is the change of heading per rad/s of it."""
         f, east, north = self._f, vn_mps * lasting_s, -ve_mps * lasting_s
         f[_VE_TURN], f[_VN_TURN] = east, north
         f[_E_TURN], f[_N_TURN] = 0.5 * step_s * east, 0.5 * step_s * north
@@ -163,10 +160,7 @@ class RangeEnd(NamedTuple):
 
 
 def range_jacobian(size: int, a: RangeEnd, b: RangeEnd, unit: Vector3) -> FloatArray:
-    """Return the Jacobian (4, size) of the vector from `b` to `a` by all states.
-
-    Its rows are the components along `unit`, east, north and up.
-    """
+    """Return the Jacobian (4, size) of the vector `b` to `a` by all states, along `unit`, east, north, up."""
     G = np.zeros((4, size))
     flat = cast("memoryview[float]", G.reshape(-1).data)
     _write_position(flat, size, a, unit, 1.0)

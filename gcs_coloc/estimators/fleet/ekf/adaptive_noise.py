@@ -54,10 +54,7 @@ Values = tuple[float, ...]
 
 
 def without_time_error(m: PositionMeasurement | RangeMeasurement) -> tuple[float, float]:
-    """Return the sigmas of a measurement, m, without the part that its uncertain time causes.
-
-    They are horizontal and vertical. Those of a range are equal.
-    """
+    """Return the sigmas (horizontal, vertical), m, without the part that an uncertain time causes."""
     if isinstance(m, RangeMeasurement):
         sigma_m = _less(m.sigma_m, m.time_sigma_m if m.clock_of is not None else 0.0)
         return sigma_m, sigma_m
@@ -132,10 +129,7 @@ class NoiseSplit:
         return max(sum_m2, 0.0) / weight if weight > 0.0 else None
 
     def lower_bound_m(self, group: int) -> float:
-        """Return the lower bound of the white sigma of one group, m.
-
-        It is below the observed one by two standard errors, and by more after few samples.
-        """
+        """Return the white sigma of one group less two standard errors, and by more after few samples, m."""
         sum_m2, weight = self._seen[group] if self._seen else _NOTHING_SEEN
         error = math.sqrt(2.0 * _OVERLAP / max(weight, 1.0))
         return math.sqrt(max(sum_m2, 0.0) / ((weight + _PROOF_SAMPLES) * (1.0 + 2.0 * error)))
@@ -193,10 +187,7 @@ class ManoeuvreDetector:
         return max(ratio * ratio, 1.0), max(ratio_v * ratio_v / 3.0, 1.0)
 
     def ratio(self) -> float:
-        """Return c' C^-1 c / 2 of the horizontal velocity corrections.
-
-        It is 1 on average under a right model, and 1 without data.
-        """
+        """Return c' C^-1 c / 2 of the horizontal velocity corrections: 1 on average, and without data."""
         c_e, c_n, C_ee, C_en, C_nn = self.c_e, self.c_n, self.C_ee, self.C_en, self.C_nn
         det = C_ee * C_nn - C_en * C_en
         if det > 1e-9 * C_ee * C_nn and det >= 1e-300:

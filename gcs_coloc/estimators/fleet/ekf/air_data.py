@@ -207,10 +207,7 @@ class AirCheck:
         return AirCheck(True, AirCalibration.initial(window.at_s, s, _UNKNOWN_ERROR_MPS), window)
 
     def reflected(self) -> AirCheck:
-        """Return the check for a vehicle whose states were reflected.
-
-        No way leads to the reflected position, so the window begins anew.
-        """
+        """Return the check after a reflection: no way leads there, so the window begins anew."""
         return replace(self, window=None)
 
 

@@ -27,10 +27,7 @@ _new = tuple.__new__
 
 
 class Cluster:
-    """The joint state of some vehicles. It changes the records of its own vehicles.
-
-    `records` is shared with the model, `transition` is working space that clusters share.
-    """
+    """The joint state of some vehicles, whose records it changes; clusters share `transition`."""
 
     __slots__ = ("joint", "records", "settings", "transition")
 
@@ -55,10 +52,7 @@ class Cluster:
             from_s = to_s
 
     def predict(self, vehicle: int, at_s: float) -> tuple[FloatArray, FloatArray]:
-        """Return mean (16,) and covariance (16, 16) of a vehicle at another time.
-
-        That time is after, or shortly before, the time of its states, which do not change.
-        """
+        """Return mean (16,) and covariance (16, 16) after, or shortly before, the time of a vehicle's states."""
         joint, transition, record = self.joint, self.transition, self.records[vehicle]
         x, P, from_s = joint.mean(vehicle), joint.covariance(vehicle), joint.time_s[vehicle]
         for to_s in step_ends(from_s, at_s) if at_s >= from_s else [at_s]:
@@ -90,10 +84,7 @@ class Cluster:
         return _new(RangeEnd, (vehicle, where, position, (ve, vn, vu), offset_s))
 
     def range_jacobian(self, a: RangeEnd, b: RangeEnd, unit: Vector3) -> FloatArray:
-        """Return the Jacobian (4, 1 + n) of the vector from `b` to `a` by all states.
-
-        Its rows are the components along `unit`, east, north and up.
-        """
+        """Return the Jacobian (4, 1 + n) of the vector `b` to `a` by states, along `unit`, east, north, up."""
         return range_jacobian(len(self.joint.A), a, b, unit)
 
     def peers_in_use(self, vehicle: int, at_s: float) -> dict[int, Vector3]:
@@ -168,10 +159,7 @@ class Cluster:
             P[start + axis, start + axis] += position_m2 / time2_s2
 
     def forget_air_errors(self, vehicle: int) -> None:
-        """Reset a vehicle's wind, airspeed error and heading error to the steady state of eq. (7).
-
-        What air data have shown of them is forgotten.
-        """
+        """Reset wind, airspeed and heading error to the steady state of eq. (7), whatever air data showed."""
         joint = self.joint
         start = joint.where[vehicle].start
         first, stop = start + WIND.start, start + HEADING_ERROR + 1
@@ -180,10 +168,7 @@ class Cluster:
 
 
 class ClusterSet:
-    """The clusters of one model, by vehicle; a vehicle without states is in none.
-
-    `records` and `settings` are those of the model.
-    """
+    """The clusters of one model, whose `records` and `settings` they have; none for who has no states."""
 
     __slots__ = ("_of", "_transition", "records", "settings")
 

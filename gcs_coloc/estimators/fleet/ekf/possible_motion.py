@@ -35,10 +35,7 @@ class MotionProfile:
     climb_level: float = 1.0
 
     def reach_m(self, since_s: float, acceleration_mps2: float) -> float:
-        """Return how far an acceleration may take a vehicle from where its velocity leads, m.
-
-        It is min(a t^2 / 2, 2 V t).
-        """
+        """Return how far an acceleration may lead a vehicle off its course, m: min(a t^2 / 2, 2 V t)."""
         return min(0.5 * acceleration_mps2 * since_s * since_s, 2.0 * self.max_speed_mps * since_s)
 
 
@@ -109,10 +106,7 @@ class UnshownMotion:
     nn: float = 0.0
 
     def after_range(self, unit: tuple[float, float, float], sigma_m: float) -> UnshownMotion:
-        """Return the motion after a range that fitted.
-
-        `unit` is the unit vector along the range, and `sigma_m` the sigma of its innovation.
-        """
+        """Return the motion after a range along `unit` that fitted; `sigma_m` is its innovation's sigma."""
         e, n = unit[0] / sigma_m, unit[1] / sigma_m
         return replace(self, ee=self.ee + e * e, en=self.en + e * n, nn=self.nn + n * n)
 
@@ -137,10 +131,7 @@ class UnshownMotion:
 
 
 def unshown_motion(at_s: float, possible: Motion, shown: Motion) -> UnshownMotion | None:
-    """Return the motion that is possible in a gap beyond the manoeuvres shown before.
-
-    The gap ended at `at_s`. None means that there is no such motion.
-    """
+    """Return the motion possible in a gap up to `at_s` beyond manoeuvres shown before; None for none."""
     position_m2, velocity_m2ps2 = possible[0] - shown[0], max(possible[1] - shown[1], 0.0)
     if position_m2 <= 0.0:
         return None

@@ -60,10 +60,7 @@ def turn_rate_radps(roll_rad: float, airspeed_mps: float) -> float:
 
 
 def usable_airspeed_mps(m: AttitudeMeasurement) -> float | None:
-    """Return the airspeed of an attitude if eq. (2) and (13) hold for it, else None.
-
-    They hold from `LEAST_AIRSPEED_MPS` on, and up to the bank `STEEPEST_BANK_RAD`.
-    """
+    """Return an attitude's airspeed where it is fast and level enough for eq. (2) and (13), else None."""
     is_usable = m.airspeed_mps is not None and m.airspeed_mps >= LEAST_AIRSPEED_MPS and abs(m.roll_rad) <= STEEPEST_BANK_RAD
     return m.airspeed_mps if is_usable else None
 
@@ -179,10 +176,7 @@ def _accelerated(mean: tuple[float, ...], east_mps2: float, north_mps2: float, s
 
 
 def gap_covariance(record: VehicleRecord, s: FleetSettings, at_s: float, most_mps2: float = math.inf) -> Motion:
-    """Return what a vehicle may have done since its last measurement, eq. (29).
-
-    `most_mps2` bounds its acceleration.
-    """
+    """Return what a vehicle may have done since its last measurement, at `most_mps2`, eq. (29)."""
     return motion_since(record.updated_at_s, record, s, at_s, most_mps2)
 
 
@@ -205,20 +199,14 @@ def motion_since(from_s: float, record: VehicleRecord, s: FleetSettings, at_s: f
 
 
 def shown_acceleration_mps2(record: VehicleRecord, s: FleetSettings) -> float:
-    """Return the 95 % bound of the acceleration that a vehicle has shown, eq. (36).
-
-    It is infinite where the vehicle's manoeuvres do not recur.
-    """
+    """Return the 95 % bound of the shown acceleration, eq. (36); infinite where manoeuvres do not recur."""
     if not record.profile.is_recurring:
         return math.inf
     return BOUND_95_SIGMAS * math.sqrt(record.manoeuvre_noise.level * s.low_speed_density_m2ps3 / (2.0 * _MANOEUVRE_S))
 
 
 def fresh_attitude(record: VehicleRecord, s: FleetSettings, at_s: float) -> AttitudeMeasurement | None:
-    """Return a vehicle's newest attitude, which shows its turns.
-
-    None means that there is none, or that it is older than `attitude_fresh_s`.
-    """
+    """Return the newest attitude, which shows turns; None where it is older than `attitude_fresh_s`."""
     attitude = record.attitude
     return attitude if attitude is not None and at_s - attitude.measured_at_s <= s.attitude_fresh_s else None
 

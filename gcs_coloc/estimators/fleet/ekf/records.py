@@ -41,10 +41,7 @@ OwnMeasurement = PositionMeasurement | AltitudeMeasurement | AttitudeMeasurement
 
 
 class UnresolvedOutlier(NamedTuple):
-    """A refused range that the ranges in use could not contradict.
-
-    `unit` is the unit vector along the range.
-    """
+    """A refused range, along `unit`, that the ranges in use could not contradict."""
 
     neighbour: int
     unit: tuple[float, float, float]
@@ -175,10 +172,7 @@ class VehicleRecord:
         return self.baro_error_sigma_m > 0.0
 
     def lasting_error(self, pair: Ranged) -> PairBias | None:
-        """Return what is known of the lasting error of a pair's ranges.
-
-        None means that the ranges are so coarse that none would tell of it.
-        """
+        """Return what is known of a pair's lasting error; None where ranges are too coarse to tell of it."""
         known, unknown = self.range_biases.bias(pair), self.unknown_bias
         return known if known is not None or unknown is None else PairBias(0.0, math.hypot(unknown.device_m, unknown.pair_m))
 

@@ -52,10 +52,7 @@ def ends(key: Key) -> tuple[int, int]:
 
 
 def pair_key(a: int, b: int, device: int) -> PairKey:
-    """Return the key of the block of a ranging pair, the same for both directions.
-
-    The block holds the pair's bias b and coloured error c, eq. (14).
-    """
+    """Return the key of a pair's bias b and coloured error c, eq. (14), the same for both directions."""
     return (a, b, device) if a < b else (b, a, device)
 
 
@@ -176,10 +173,7 @@ class JointState:
         self.A = A
 
     def propagate(self, key: Key, mean: tuple[float, ...], F: FloatArray, Q: FloatArray, at_s: float) -> None:
-        """Propagate one block to `at_s`: P = F P F' + Q with F and Q (m, m), and the given mean.
-
-        `mean` may be shorter than m: F propagates the rest.
-        """
+        """Propagate one block to `at_s`: P = F P F' + Q (m, m); F propagates what a shorter `mean` lacks."""
         A, where = self.A, self.where[key]
         columns = blas.dgemm(1.0, A[where].T, F.T)
         rows = columns.T

@@ -50,10 +50,7 @@ Sigmas = tuple[float, float]
 
 
 def update_own(cluster: Cluster, m: OwnMeasurement) -> UpdateResult:
-    """Correct with what a vehicle of the cluster measured of itself.
-
-    The noise is split into white and coloured as the stream has shown, eq. (16).
-    """
+    """Correct with a vehicle's own measurement; the noise is split as its stream has shown, eq. (16)."""
     record, s = cluster.records[m.vehicle], cluster.settings
     if isinstance(m, PositionMeasurement):
         return update_position_report(cluster, m, *split_report_noise(record, m, s), time_stamp_offset_sigma_s(m, s))
@@ -188,10 +185,7 @@ def _contradicts_its_way(cluster: Cluster, m: AttitudeMeasurement, airspeed_mps:
 
 
 def update_odometry(cluster: Cluster, m: OdometryMeasurement) -> UpdateResult:
-    """Correct with speed and turn rate, eq. (34), with inflated noise outside the gate.
-
-    Wheels slip and spin, so no odometry is refused.
-    """
+    """Correct with speed and turn rate, eq. (34); outside the gate with inflated noise, as wheels slip."""
     s, record, joint = cluster.settings, cluster.records[m.vehicle], cluster.joint
     cluster.propagate(m.vehicle, m.measured_at_s)
     since_s = m.measured_at_s - record.odometry.measured_at_s if record.odometry is not None else math.inf
@@ -258,10 +252,7 @@ def time_stamp_offset_sigma_s(m: PositionMeasurement | RangeMeasurement, s: Flee
 
 
 def split_report_noise(record: VehicleRecord, m: PositionMeasurement, s: FleetSettings) -> tuple[Sigmas, Sigmas]:
-    """Return the white and the coloured sigmas of a position report, eq. (16).
-
-    Each pair is (horizontal, vertical) in m.
-    """
+    """Return the white and the coloured sigmas, (horizontal, vertical) in m, of a report, eq. (16)."""
     sigma_h_m, sigma_v_m = without_time_error(m)
     white_h_m, coloured_h_m = record.report_noise.split(0, sigma_h_m, s.least_coloured_share)
     white_v_m, coloured_v_m = record.report_noise.split(1, sigma_v_m, s.least_coloured_share)

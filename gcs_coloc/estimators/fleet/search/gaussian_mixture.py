@@ -160,10 +160,7 @@ def range_points(from_peer_m: FloatArray, covariance_m2: FloatArray, range_m: fl
 
 
 def _on_circle(count: int, up: float) -> FloatArray:
-    """Return the unit vectors to points on a horizontal circle of a sphere.
-
-    The circle is `up` times the radius above the centre.
-    """
+    """Return unit vectors to points on a horizontal circle, `up` times the radius above the centre."""
     azimuth_rad, level = np.arange(count) * (2.0 * math.pi / count), math.sqrt(1.0 - up * up)
     return np.stack([level * np.sin(azimuth_rad), level * np.cos(azimuth_rad), np.full(count, up)], axis=1)
 
@@ -190,9 +187,6 @@ def _on_sphere(mean_m: FloatArray, covariance_m2: FloatArray, radius_m: float, f
 
 
 def _level(unit: FloatArray) -> FloatArray:
-    """Return horizontal unit vectors at right angles to other unit vectors.
-
-    No point of a lattice is right above its centre, so there is always one.
-    """
+    """Return horizontal unit vectors at right angles to others, none of which is vertical."""
     level = np.stack([unit[:, 1], -unit[:, 0], np.zeros(len(unit))], axis=1)
     return np.asarray(level / np.linalg.norm(level, axis=1)[:, None])

@@ -55,10 +55,7 @@ _ROUGH_MOST_SIGMAS = 50.0
 
 
 class MultilaterationProblem:
-    """The recent ranges of one denied vehicle, the positions of its peers then, and its own heights.
-
-    Times are relative to `at_s`.
-    """
+    """A denied vehicle's recent ranges, its peers' positions then, its heights; times count from `at_s`."""
 
     def __init__(self, at_s: float) -> None:
         self.at_s = at_s
@@ -109,10 +106,7 @@ class MultilaterationProblem:
         return min(2.0 * _STRAIGHT * range_m * sigma_m for *_, range_m, sigma_m, _ in self._rows)
 
     def heights(self) -> FloatArray:
-        """Return the heights (m, 3): time, s, height and sigma, m.
-
-        Their error is coloured. So the sigmas are inflated until all together carry the information of one.
-        """
+        """Return the heights (m, 3): time, s, height, sigma, m; they are coloured: together worth one."""
         inflation = math.sqrt(max(len(self._heights), 1))
         return np.array([(t, u, sigma * inflation) for t, u, sigma in self._heights], dtype=np.float64).reshape(-1, 3)
 

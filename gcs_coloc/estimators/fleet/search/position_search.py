@@ -107,10 +107,7 @@ class PositionSearch:
         return PositionSearch(at_s, mean[None, :6].copy(), P[None, :6, :6], np.zeros(1), mean[6:].copy(), P[6:, 6:], {})
 
     def joined(self, others: Sequence[tuple[PositionSearch, float]]) -> PositionSearch:
-        """Return the search for a vehicle that is at a place of this search or of others.
-
-        Each of the others comes with its log odds against this one.
-        """
+        """Return the search at the places of this and of others, each with its log odds against this one."""
         parts = [(self, 0.0), *others]
         w = np.concatenate([search.log_weight - log_sum(search.log_weight) + odds for search, odds in parts])
         x, P = (np.concatenate(each) for each in zip(*((search.mean, search.covariance) for search, _ in parts), strict=True))
@@ -120,10 +117,7 @@ class PositionSearch:
 
     @property
     def is_open(self) -> bool:
-        """Whether several places fitted lately.
-
-        Time blurs them but does not make them one place, and a single range may be an outlier.
-        """
+        """Whether several places fitted lately: time does not make them one, and one range may be an outlier."""
         return self.agreed < _LEAST_AGREED
 
     @property
@@ -132,10 +126,7 @@ class PositionSearch:
         return self.refused >= _REFUSED_MOST
 
     def predicted(self, at_s: float, densities_m2ps3: tuple[float, float], speeds_mps: tuple[float, float]) -> PositionSearch:
-        """Return the search at a later time: constant velocity with white acceleration, eq. (28).
-
-        Densities and sigmas of the speed are horizontal and vertical.
-        """
+        """Return the search at a later time, eq. (28); densities and speeds are horizontal and vertical."""
         step_s = at_s - self.at_s
         if step_s <= 0.0:
             return self
@@ -150,10 +141,7 @@ class PositionSearch:
         return replace(self, at_s=at_s, mean=self.mean @ F.T, covariance=F @ self.covariance @ F.T + Q)
 
     def with_height(self, up_m: float, variance_m2: float) -> PositionSearch:
-        """Return the search after a height.
-
-        The error of a height lasts. So many heights never make it better known than one does.
-        """
+        """Return the search after a height, whose error lasts: many make it no better known than one."""
         if float(self.covariance[:, 2, 2].min()) <= variance_m2:
             return self
         H = np.zeros((len(self.mean), 1, 6))
@@ -163,10 +151,7 @@ class PositionSearch:
         return replace(self, mean=x, covariance=P)
 
     def with_range(self, circle: RangeCircle) -> PositionSearch:
-        """Return the search after a range.
-
-        Components that are too wide for it are split along its circle, and all are corrected.
-        """
+        """Return the search after a range: components too wide are split along its circle, all corrected."""
         use = self.uses.get(circle.peer, 0) + 1
         x, P, w = self._few_wide(circle, use)
         d = x[:, :3] - circle.position_m
