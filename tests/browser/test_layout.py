@@ -12,6 +12,10 @@ from playwright.sync_api import expect
 pytestmark = pytest.mark.integration
 
 
+def overlap(a, b):
+    return all(a[at] < b[at] + b[size] and b[at] < a[at] + a[size] for at, size in (("x", "width"), ("y", "height")))
+
+
 def test_the_details_leave_alarms_and_fleet_in_a_window_of_900_px(watched, live):
     page = watched.page
     page.set_viewport_size({"width": 1440, "height": 900})
@@ -62,9 +66,44 @@ def test_no_vehicle_is_hidden_beneath_the_buttons_of_the_map(watched, size):
 
     def are_free():
         # The map takes its new size, and fits it, a picture or two after the window has it.
-        tools = page.locator("#map-tools").bounding_box()
-        boxes = [mark.bounding_box() for mark in marks.all()]
-        bottom, left = tools["y"] + tools["height"], tools["x"]
-        return all(box["y"] >= bottom or box["x"] + box["width"] <= left for box in boxes)
+        covers = [page.locator(part).bounding_box() for part in ("#map-tools", ".leaflet-control-zoom")]
+        return not any(overlap(mark.bounding_box(), cover) for mark in marks.all() for cover in covers)
 
     wait_for(are_free, "a map whose buttons cover no vehicle")
+
+
+COVERED = """() => {
+  const zoom = document.querySelector(".leaflet-control-zoom").getBoundingClientRect();
+  window.covered = false;
+  const look = () => {
+    for (const mark of document.querySelectorAll("#map [role=button][aria-label^='Vehicle']")) {
+      const { left, right, top, bottom } = mark.getBoundingClientRect();
+      if (left < zoom.right && zoom.left < right && top < zoom.bottom && zoom.top < bottom) window.covered = true;
+    }
+    requestAnimationFrame(look);
+  };
+  look();
+}"""
+"""Looks at every picture whether a mark is beneath the zoom buttons."""
+
+
+def test_a_vehicle_that_flies_beneath_the_zoom_buttons_has_the_map_fitted_anew_at_once(watched, live):
+    page, hover = watched.page, live.fleet[1]
+    page.set_viewport_size({"width": 390, "height": 844})
+    page.get_by_role("button", name="Show all").click()
+
+    def centre(locator):
+        box = locator.bounding_box()
+        return box["x"] + box["width"] / 2.0, box["y"] + box["height"] / 2.0
+
+    first, second = (page.locator("#map").get_by_role("button", name=f"Vehicle {sysid}, ") for sysid in (1, 2))
+    wait_for(lambda: 100.0 < centre(second)[0] - centre(first)[0] < 300.0, "a map that has its new size")
+    (x1, y1), (x2, _), (x, y) = centre(first), centre(second), centre(page.locator(".leaflet-control-zoom"))
+    before_m, px_per_m = hover.enu_m, (x2 - x1) / hover.enu_m[0]
+    page.evaluate(COVERED)
+    hover.enu_m = ((x - x1) / px_per_m, (y1 - y) / px_per_m, before_m[2])
+    try:
+        wait_for(lambda: centre(first) != (x1, y1), "another view of the map")
+        assert not page.evaluate("window.covered")
+    finally:
+        hover.enu_m = before_m

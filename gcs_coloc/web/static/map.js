@@ -189,10 +189,12 @@ export class FleetMap {
     // Nor is a vehicle seen beneath the buttons.
     const tools = byId("map-tools");
     const top = tools.offsetTop + tools.offsetHeight + 20; // a mark reaches 17 px beyond its place
-    const inView = L.latLngBounds(this.map.containerPointToLatLng([0, top]), this.map.containerPointToLatLng(this.map.getSize()));
+    const right = document.querySelector(".leaflet-control-zoom").offsetWidth + 20;
+    const { x, y } = this.map.getSize();
+    const inView = L.latLngBounds(this.map.containerPointToLatLng([0, top]), this.map.containerPointToLatLng([x - right, y]));
     const span = (b) => Math.max(b.getNorth() - b.getSouth(), b.getEast() - b.getWest());
     if (inView.contains(bounds.pad(0.05)) && span(inView) < 3 * Math.max(span(bounds), 20)) return;
-    this.map.fitBounds(roomy, { animate: false, maxZoom: 3, paddingTopLeft: [30, top], paddingBottomRight: [30, 30] });
+    this.map.fitBounds(roomy, { animate: false, maxZoom: 3, paddingTopLeft: [30, top], paddingBottomRight: [right, 30] });
   }
 
   select(sysid) {
