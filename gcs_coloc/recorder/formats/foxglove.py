@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from functools import cache
 from importlib.resources import files
 from math import cos, sin
 from typing import Any
@@ -46,6 +47,7 @@ WellKnown = tuple[str, str, dict[str, Any]]
 """Topic, schema name and content of a message."""
 
 
+@cache
 def well_known_schema(name: str) -> bytes:
     """Return the published JSON schema of one of the messages, such as `foxglove.Log`."""
     path = files("gcs_coloc.recorder.formats") / "foxglove_schemas" / f"{name.removeprefix('foxglove.')}.json"

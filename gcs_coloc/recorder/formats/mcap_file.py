@@ -6,6 +6,7 @@ import io
 import json
 import struct
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 from mcap.opcode import Opcode
@@ -35,12 +36,11 @@ def as_json(entry: Entry) -> bytes:
     return encoded
 
 
-def schema_of(kind: type) -> dict[str, Any]:
+@cache  # each log segment begins with all of them
+def schema_of(kind: type) -> bytes:
     """The JSON schema of one kind of entry, without references: some viewers follow none."""
     schema = _ADAPTERS[kind].json_schema(mode="serialization")
-    definitions = schema.pop("$defs", {})
-    inlined: dict[str, Any] = _inline(schema, definitions)
-    return inlined
+    return json.dumps(_inline(schema, schema.pop("$defs", {}))).encode()
 
 
 def _inline(part: Any, definitions: Mapping[str, Any]) -> Any:
@@ -65,8 +65,7 @@ class McapEncoder:
         self._writer = Writer(self._sink, compression=CompressionType.NONE)
         self._writer.start(profile="", library="gcs-coloc")
         self._schemas = {
-            kind: self._writer.register_schema(f"gcs_coloc.{name}", "jsonschema", json.dumps(schema_of(kind)).encode())
-            for kind, name in NAMES.items()
+            kind: self._writer.register_schema(f"gcs_coloc.{name}", "jsonschema", schema_of(kind)) for kind, name in NAMES.items()
         }
         self._well_known = {
             name: self._writer.register_schema(name, "jsonschema", well_known_schema(name))
