@@ -6,7 +6,7 @@ import signal
 
 
 def main() -> None:
-    """Entry point. Ctrl-C while Python still reads the packages ends it at once, and without a traceback."""
+    """Entry point. Ctrl-C while Python reads the packages, or ends, ends it without a traceback."""
     is_heeded = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if is_heeded:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
@@ -14,7 +14,11 @@ def main() -> None:
 
     if is_heeded:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    cli.main()
+    try:
+        cli.main()
+    finally:
+        if is_heeded:  # once more while Python ends
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 if __name__ == "__main__":
