@@ -29,7 +29,7 @@ from gcs_coloc.planning.fleet_plan import FleetPlan
 from gcs_coloc.planning.improvement import find_improvement, no_improvement
 from gcs_coloc.planning.load import load_plan
 from gcs_coloc.planning.mission import LEAST_SPEED_MPS, MOST_SPEED_MPS, ListedStation, PerVehicle
-from gcs_coloc.runtime.output_files import check_output_file, new_table, writing
+from gcs_coloc.runtime.output_files import check_drawing, check_output_file, new_table, writing
 
 _FILE_WIDTH = 160  # of a table that goes to a file or pipe
 _NOT_ENOUGH = 3
@@ -97,6 +97,8 @@ def plan(
 
     for path, option in ((report, "--report"), (csv, "--csv"), (geojson, "--geojson")):
         check_output_file(path, option)
+    if report is not None:
+        check_drawing()
     assumed = {
         "max_range_m": max_range, "range_sigma_m": range_sigma, "range_rate_hz": range_rate, "position_sigma_m": position_sigma,
         "alert_limit_m": alert_limit, "has_air_data": False if no_air_data else None,

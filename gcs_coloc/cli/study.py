@@ -20,7 +20,7 @@ from gcs_coloc.cli.task_options import (
     workers_for,
 )
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.runtime.output_files import check_output_file, make_output_directory, writing
+from gcs_coloc.runtime.output_files import check_drawing, check_output_file, make_output_directory, writing
 from gcs_coloc.study.paper_options import PaperOptions, QForm, QUnit
 
 app = typer.Typer(
@@ -69,6 +69,7 @@ def paper(
 
     workers = workers_for(jobs, scheduler)
     make_output_directory(out, "--out")
+    check_drawing()
     options = PaperOptions(
         seeds=seeds,
         first_seed=first_seed,
@@ -108,6 +109,8 @@ def bound(
     from gcs_coloc.study.bound import BoundOptions, plot_bounds, run_scenario_bound
 
     check_output_file(plot, "--plot")
+    if plot is not None:
+        check_drawing()
     bounds = run_scenario_bound(scenario, seed, BoundOptions(peer_sigma_m=peer_sigma, density_m2ps3=density))
     for sysid, least in bounds.items():
         sigma_m = least.horizontal_sigma_m

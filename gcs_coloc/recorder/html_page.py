@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from html import escape
 from typing import Any
 
-from gcs_coloc.core.errors import UsageError
 from gcs_coloc.runtime.output_files import new_figure
 
 _HEAD = """<!doctype html>
@@ -82,21 +81,15 @@ def table(name: str, heads: Sequence[str], rows: Iterable[Sequence[str]], number
 
 
 def picture(alt: str, draw: Callable[[Any, Ink], None], size: tuple[float, float] = (9.0, 7.0)) -> str:
-    """Draw a picture of a size in inches in both inks; the dark one is for readers who prefer dark pages.
-
-    Raises:
-        UsageError: matplotlib is not installed.
-    """
+    """Draw a picture of a size in inches in both inks; the dark one is for readers who prefer dark pages."""
     light, dark = (_png(draw, ink, size) for ink in (_LIGHT, _DARK))
     source = f'<source media="(prefers-color-scheme: dark)" srcset="{dark}">'
     return f'<picture>{source}<img alt="{alt}" src="{light}"></picture>'
 
 
 def _png(draw: Callable[[Any, Ink], None], ink: Ink, size: tuple[float, float]) -> str:
-    try:
-        from matplotlib import rc_context
-    except ImportError as error:
-        raise UsageError('the report\'s pictures need matplotlib: pip install "gcs-coloc[plots]"') from error
+    from matplotlib import rc_context
+
     buffer = io.BytesIO()
     with rc_context(dict(ink.surroundings)):
         figure = new_figure(size)

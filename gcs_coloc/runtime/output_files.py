@@ -66,20 +66,20 @@ def new_table(*headings: str, left: Collection[str] = (), title: str | None = No
     return Table(*(Column(heading, justify="left" if heading in left else "right") for heading in headings), title=title)
 
 
-def new_figure(size: tuple[float, float]) -> Any:
-    """Return an empty figure of a size in inches.
-
-    Raises:
-        UsageError: matplotlib is not installed.
-    """
+def check_drawing() -> None:
+    """Check that figures can be drawn. Raises UsageError where matplotlib is not installed."""
     try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
+        import matplotlib.figure  # noqa: F401
     except ImportError as error:
         raise UsageError('drawing needs matplotlib: pip install "gcs-coloc[plots]"') from error
-    figure = Figure(figsize=size, layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
+
+
+def new_figure(size: tuple[float, float]) -> Any:
+    """Return an empty figure of a size in inches. Raises UsageError as `check_drawing`."""
+    check_drawing()
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=size, layout="constrained")
 
 
 def save_figure(figure: Any, path: Path | str, dpi: int = 110) -> None:

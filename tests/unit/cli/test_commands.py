@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import pytest
@@ -97,6 +98,24 @@ def test_study_paper_prints_table_2_and_writes_its_files(tmp_path):
     assert {"table2.csv", "study.json", "figure5.png", "figure6.png", "figure7.png"} <= {p.name for p in tmp_path.iterdir()}
     options = json.loads((tmp_path / "study.json").read_text())["readings"]
     assert (options["step_s"], options["seeds"], options["qs"]) == (0.5, 2, [5.0, 20.0])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "computes"),
+    [
+        (["study", "paper", "--out", "OUT"], "gcs_coloc.study.paper.run_paper_study"),
+        (["study", "bound", "paper", "--plot", "OUT.png"], "gcs_coloc.study.bound.run_scenario_bound"),
+        (["evaluate", "OUT", "--plot", "OUT.png"], "gcs_coloc.cli.evaluate._evaluate"),
+        (["report", "OUT.tlog"], "gcs_coloc.cli.recordings.read_history"),
+        (["plan", "OUT.plan", "--report", "OUT.html"], "gcs_coloc.cli.plan.load_plan"),
+    ],
+)
+def test_that_there_is_no_matplotlib_is_told_before_anything_is_computed(arguments, computes, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.setattr(computes, lambda *_, **__: pytest.fail("computed"))
+    told = gcs_coloc(*(text.replace("OUT", str(tmp_path / "out")) for text in arguments))
+    assert (told.returncode, told.stdout) == (2, "")
+    assert told.stderr == 'gcs-coloc: error: drawing needs matplotlib: pip install "gcs-coloc[plots]"\n'
 
 
 def test_study_bound_tells_the_least_error(tmp_path):
