@@ -212,19 +212,19 @@ class _Observed:
             return None
         from gcs_coloc.web.app import WebHooks
         from gcs_coloc.web.pages import Pages
-        from gcs_coloc.web.picture import LiveSource, TrackHistory
+        from gcs_coloc.web.picture import LiveSource
         from gcs_coloc.web.server import WebServer
 
         path, snapshots = self.path, self.path.snapshots
-        history, events = TrackHistory(), path.events.subscribe(256)
-        source = LiveSource(snapshots.snapshot, snapshots.recent_snapshot, history, path.alarms.update, path.truths.values)
+        source = LiveSource(snapshots.snapshot, snapshots.recent_snapshot, path.alarms.update, path.truths.values)
+        events = path.events.subscribe(256)
         # At the recording's pace, so that one snapshot of the fleet serves both.
         pages = Pages(source, path.idle, EVERY_S)
         command = partial(path.apply_command, source=CommandSource.PAGE)
         hooks = WebHooks(
             snapshots.snapshot, command, path.alarms.acknowledge, self._fault, path.command_refusal, path.order_standby
         )
-        return WebServer(settings.web, hooks, pages, lambda: history.follow(events))
+        return WebServer(settings.web, hooks, pages, lambda: source.follow(events))
 
     def _make_mqtt(self, settings: Settings) -> Mqtt | None:
         if not settings.mqtt.host:

@@ -41,6 +41,7 @@ _MIN_SAMPLE_PERIOD_S = 0.7
 _MAX_SAMPLES_SENT = 20_000
 """Of all vehicles together, chosen: some 1.5 MB, which a page parses within 0.1 s."""
 _RATE_WINDOW_S = 5.0  # chosen: smooth enough to read
+_TRUTH_FRESH_S = 2.0  # chosen: simulators tell where their vehicles are at 1 Hz or faster
 
 Sample = tuple[float, ...]
 """One vehicle at one time: `at_s`, and a number for each of `SAMPLE_COLUMNS`; NaN where it is unknown."""
@@ -70,16 +71,31 @@ class LinkRates:
         )
 
 
-class TrackHistory:
-    """The last ten minutes and the last 500 events of a live fleet; the oldest go first."""
+class LiveSource(PageSource):
+    """What pages are sent of a live fleet: its picture, its last ten minutes and its last 500 events.
 
-    def __init__(self) -> None:
+    `snapshot` returns the fleet with its counters, `recent_snapshot` the fleet as of a moment ago, for many times a second;
+    `alarms` brings the service's alarms up to date with a snapshot and returns them, `truths` the true positions that a
+    simulation sends.
+    """
+
+    def __init__(
+        self,
+        snapshot: Callable[[], FleetSnapshot],
+        recent_snapshot: Callable[[], FleetSnapshot],
+        alarms: Callable[[FleetSnapshot], Iterable[Alarm]],
+        truths: Callable[[], Iterable[HeardTruth]] = tuple,
+    ) -> None:
+        super().__init__()
+        self._snapshot = snapshot
+        self._recent_snapshot = recent_snapshot
+        self._alarms = alarms
+        self._truths = truths
         self._rates = LinkRates()
         self._samples: dict[int, deque[Sample]] = {}
         self._events: deque[Event] = deque(maxlen=EVENTS_KEPT)
         self._sampled_at_s = float("-inf")
-        self.newest_event = 0
-        """The number of the newest event; 0 before the first."""
+        self._newest_event = 0
 
     async def follow(self, events: Subscription) -> None:
         """Add every event of a subscription, for ever."""
@@ -93,22 +109,36 @@ class TrackHistory:
             return
         if is_told_already(event):
             return
-        self.newest_event += 1
-        self._events.append(page_event(self.newest_event, event))
+        self._newest_event += 1
+        self._events.append(page_event(self._newest_event, event))
+
+    @property
+    def newest_event(self) -> int:
+        """As `PageSource` says."""
+        return self._newest_event
+
+    @property
+    def utc_minus_service_s(self) -> float | None:
+        """As `PageSource` says."""
+        return self._recent_snapshot().utc_minus_service_s
 
     def events_after(self, number: int) -> EventsFrame:
         """The kept events with a higher number, and how many are no longer kept."""
         events = tuple(e for e in self._events if e.id > number)
-        return EventsFrame(events=events, missed=self.newest_event - number - len(events))
+        return EventsFrame(events=events, missed=self._newest_event - number - len(events))
 
     def tracks(self) -> tuple[VehicleHistory, ...]:
         """The last minutes of each vehicle; fewer of them for a large fleet, so that a page opens quickly."""
         count = samples_per_vehicle(len(self._samples))
         return tuple(columns(sysid, list(samples)[-count:]) for sysid, samples in sorted(self._samples.items()))
 
-    def counts(self, fleet: FleetSnapshot) -> CountsFrame:
-        """The counters of a snapshot, with rates over the last seconds."""
-        return self._rates.counts(fleet)
+    def messages(self, *, with_counts: bool) -> list[str]:
+        """As `PageSource` says."""
+        fleet = self._recent_snapshot()
+        messages = [fleet_json(fleet_frame(fleet, self._alarms(fleet), self._truths())).decode()]
+        if with_counts:
+            messages.append(self._rates.counts(self._snapshot()).model_dump_json())
+        return messages
 
     def _add_snapshot(self, fleet: FleetSnapshot) -> None:
         self._rates.update(fleet)
@@ -174,59 +204,6 @@ def _link_frame(now: LinkSnapshot, then: LinkSnapshot | None, elapsed_s: float) 
 def _out_frame(now: OutSnapshot, then: OutSnapshot | None, elapsed_s: float) -> OutFrame:
     rate_hz = (now.frames_sent - then.frames_sent) / elapsed_s if then is not None and elapsed_s > 0.0 else None
     return OutFrame(**asdict(now), rate_hz=rate_hz)
-
-
-_TRUTH_FRESH_S = 2.0  # chosen: simulators tell where their vehicles are at 1 Hz or faster
-
-
-class LiveSource(PageSource):
-    """What pages are sent of a live fleet; a `PageSource`.
-
-    `snapshot` returns the fleet with its counters, `recent_snapshot` the fleet as of a moment ago, for many times a second;
-    `alarms` brings the service's alarms up to date with a snapshot and returns them, `truths` the true positions that a
-    simulation sends.
-    """
-
-    def __init__(
-        self,
-        snapshot: Callable[[], FleetSnapshot],
-        recent_snapshot: Callable[[], FleetSnapshot],
-        history: TrackHistory,
-        alarms: Callable[[FleetSnapshot], Iterable[Alarm]],
-        truths: Callable[[], Iterable[HeardTruth]] = tuple,
-    ) -> None:
-        super().__init__()
-        self.history = history
-        self._alarms = alarms
-        self._snapshot = snapshot
-        self._recent_snapshot = recent_snapshot
-        self._truths = truths
-
-    @property
-    def newest_event(self) -> int:
-        """As `PageSource` says."""
-        return self.history.newest_event
-
-    @property
-    def utc_minus_service_s(self) -> float | None:
-        """As `PageSource` says."""
-        return self._recent_snapshot().utc_minus_service_s
-
-    def events_after(self, number: int) -> EventsFrame:
-        """As `PageSource` says."""
-        return self.history.events_after(number)
-
-    def tracks(self) -> tuple[VehicleHistory, ...]:
-        """As `PageSource` says."""
-        return self.history.tracks()
-
-    def messages(self, *, with_counts: bool) -> list[str]:
-        """As `PageSource` says."""
-        fleet = self._recent_snapshot()
-        messages = [fleet_json(fleet_frame(fleet, self._alarms(fleet), self._truths())).decode()]
-        if with_counts:
-            messages.append(self.history.counts(self._snapshot()).model_dump_json())
-        return messages
 
 
 def fleet_frame(fleet: FleetSnapshot, alarms: Iterable[Alarm] = (), truths: Iterable[HeardTruth] = ()) -> FleetFrame:

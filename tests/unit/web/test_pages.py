@@ -9,7 +9,7 @@ from fleet_views import fleet_view
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.sinks.event_bus import IdleScheduler
 from gcs_coloc.web.pages import MAX_UNSHOWN, Pages
-from gcs_coloc.web.picture import LiveSource, TrackHistory
+from gcs_coloc.web.picture import LiveSource
 
 
 class Browser:
@@ -47,9 +47,8 @@ class Served:
     """Pages of a live source whose pictures are numbered by their time."""
 
     def __init__(self):
-        self.history = TrackHistory()
         self.made = 0
-        self.source = LiveSource(lambda: fleet_view(float(self.made)), self.next_snapshot, self.history, lambda _: ())
+        self.source = LiveSource(lambda: fleet_view(float(self.made)), self.next_snapshot, lambda _: ())
         self.pages = Pages(self.source, IdleScheduler(), 0.2)
 
     def next_snapshot(self):
@@ -84,7 +83,7 @@ def test_a_page_whose_connection_is_stuck_gets_the_newest_picture_and_every_even
         async with served.opened(stuck, good):
             stuck.set_reading(False)
             for i in range(10):
-                served.history.add(Notice(float(i), 1, "warning", f"event {i}"))
+                served.source.add(Notice(float(i), 1, "warning", f"event {i}"))
                 await served.tick()
             assert [m["at_s"] for m in good.of("fleet")] == [float(i) for i in range(1, 11)]
             assert (stuck.page.skipped, good.page.skipped) == (9, 0)
@@ -135,7 +134,7 @@ def test_a_page_out_of_sight_gets_events_alone_and_the_history_when_it_is_in_sig
         served, hidden, seen = Served(), Browser(), Browser()
         async with served.opened(hidden, seen):
             hidden.page.receive("hidden")
-            served.history.add(Notice(1.0, 1, "warning", "lost"))
+            served.source.add(Notice(1.0, 1, "warning", "lost"))
             await served.tick()
             assert hidden.kinds() == ["hello", "events"]
             assert seen.kinds() == ["hello", "events", "fleet"]
@@ -160,7 +159,7 @@ def test_a_page_gets_hello_of_another_instance_before_its_events_and_never_an_ol
         async with served.opened(browser):
             for _ in range(3):
                 await served.tick()
-            served.history.add(Notice(1.0, 1, "warning", "again"))
+            served.source.add(Notice(1.0, 1, "warning", "again"))
             served.source.instance = "another"
             browser.page.receive("shown")
             await settle()
