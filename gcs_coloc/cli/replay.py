@@ -7,6 +7,7 @@ import json
 import re
 import time
 from collections.abc import Callable
+from dataclasses import asdict
 from datetime import UTC, datetime
 from itertools import zip_longest
 from pathlib import Path
@@ -85,7 +86,7 @@ def replay(
         "damage": dict(log.counts),
         "wire": dict(counts.wire),
         **report.as_dict(),
-        "warnings": [finding.as_dict() for finding in findings],
+        "warnings": [asdict(finding) for finding in findings],
     }
     warn_of_damage(file, log.counts)
     warn_of_findings(file, findings)

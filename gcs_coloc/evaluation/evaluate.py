@@ -97,7 +97,7 @@ class Evaluation:
             "cpu_us_per_measurement": self.cpu_us_per_measurement,
             "denied": {vehicle.node.id: vehicle.as_dict() for vehicle in self.denied},
             "counts": dict(self.counts),
-            "warnings": [finding.as_dict() for finding in self.findings],
+            "warnings": [asdict(finding) for finding in self.findings],
         }
 
 

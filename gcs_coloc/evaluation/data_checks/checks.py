@@ -12,7 +12,7 @@ from gcs_coloc.evaluation.data_checks.findings import (
     Explanation,
     FindingKind,
     choose,
-    clock_words,
+    clock_finding,
     finding,
     join_vehicles,
     median_ratio,
@@ -157,16 +157,7 @@ def _truth_explanations(
         return np.where(known, np.linalg.norm(positions - reported, axis=1), np.nan)
 
     offset_s, after_m = find_time_offset_s(shifted)
-    clock = finding(
-        FindingKind.TIME_OFFSET,
-        offset_s,
-        of="the truth of {who}",
-        than="the reports",
-        offset=clock_words(offset_s),
-        before_m=residual_m,
-        after_m=after_m,
-    )
-    yield Explanation(after_m, clock)
+    yield Explanation(after_m, clock_finding("the truth of {who}", "the reports", offset_s, residual_m, after_m))
     apart = np.median(true - reported, axis=0)
     # An offset of any size fits by chance more easily: it must explain all of the residual.
     left_m = _left_m(true - apart, reported)

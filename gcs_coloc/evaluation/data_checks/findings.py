@@ -106,10 +106,6 @@ class DataFinding:
     text: str
     value: float | None = None
 
-    def as_dict(self) -> dict[str, object]:
-        """Return plain values, for JSON."""
-        return {"kind": str(self.kind), "text": self.text, "value": self.value}
-
 
 def finding(kind: FindingKind, value: float | None = None, who: str = "{who}", **words: object) -> DataFinding:
     """Return a finding in its kind's wording.
@@ -125,6 +121,15 @@ class Explanation:
 
     residual_m: float
     finding: DataFinding
+
+
+def clock_finding(of: str, than: str, offset_s: float, before_m: float, after_m: float) -> DataFinding:
+    """Return that the clock of `of` is `offset_s` ahead of that of `than`.
+
+    `before_m` and `after_m`: the median residual as it is, and with the offset removed.
+    """
+    offset = f"{abs(offset_s):.2f} s {'ahead of' if offset_s > 0.0 else 'behind'}"
+    return finding(FindingKind.TIME_OFFSET, offset_s, of=of, than=than, offset=offset, before_m=before_m, after_m=after_m)
 
 
 def choose(explanations: Iterable[Explanation], residual_m: float, sigma_m: float = 0.0) -> DataFinding | None:
@@ -155,11 +160,6 @@ def join_vehicles(findings: Iterable[tuple[str, DataFinding]]) -> Iterator[DataF
 
 _FACTORS = {1000.0: ("mm", "km"), 100.0: ("cm", ""), 1.0 / 0.3048: ("ft", "")}
 """How many of the first unit are one metre, and how many metres one of the second (foot: 0.3048 m, ISO 31-1)."""
-
-
-def clock_words(offset_s: float) -> str:
-    """Return how a clock stands that is `offset_s` ahead of another one."""
-    return f"{abs(offset_s):.2f} s {'ahead of' if offset_s > 0.0 else 'behind'}"
 
 
 def unit_question(factor: float, one: str, other: str) -> str:

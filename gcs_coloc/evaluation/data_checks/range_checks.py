@@ -16,7 +16,7 @@ from gcs_coloc.evaluation.data_checks.findings import (
     Explanation,
     FindingKind,
     choose,
-    clock_words,
+    clock_finding,
     finding,
     median_residual_m,
     unit_question,
@@ -269,7 +269,7 @@ def _explanations(bad: _RangeSet, attributed: _Attribution) -> Iterator[Explanat
             yield Explanation(left_m, swapped)
     for of, shift in _clocks(bad, attributed):
         offset_s, left_m = find_time_offset_s(lambda by_s, shift=shift: bad.shifted_residuals_m(shift(by_s)))  # type: ignore[misc]
-        yield Explanation(left_m, _clock_finding(of, attributed.ranges, offset_s, bad.residual_m, left_m))
+        yield Explanation(left_m, clock_finding(of, attributed.ranges, offset_s, bad.residual_m, left_m))
     bias_m = float(np.nanmedian(bad.range_m - bad.distances_m))
     # A bias or factor of any size fits by chance more easily: it must explain all of the residual.
     if (left_m := median_residual_m(bad.range_m - bias_m - bad.distances_m)) <= _SUSPECT_SIGMAS * bad.sigma_m:
@@ -301,11 +301,6 @@ def _clocks(bad: _RangeSet, attributed: _Attribution) -> Iterator[tuple[str, Cal
         yield "the truth", lambda by_s: lambda _, is_truth: by_s if is_truth else 0.0
 
 
-def _clock_finding(of: str, than: str, offset_s: float, before_m: float, after_m: float) -> DataFinding:
-    offset = clock_words(offset_s)
-    return finding(FindingKind.TIME_OFFSET, offset_s, of=of, than=than, offset=offset, before_m=before_m, after_m=after_m)
-
-
 def _small_clock_offset(every: _RangeSet, bad: _RangeSet | None) -> DataFinding | None:
     """Return the finding of a time offset of all positions that is hidden in most pairs.
 
@@ -318,4 +313,4 @@ def _small_clock_offset(every: _RangeSet, bad: _RangeSet | None) -> DataFinding 
         return None
     if bad is not None and median_residual_m(bad.shifted_residuals_m(_shift_all(offset_s))) > _SUSPECT_SIGMAS * bad.sigma_m:
         return None
-    return _clock_finding("the positions", "the ranges", offset_s, every.residual_m, left_m)
+    return clock_finding("the positions", "the ranges", offset_s, every.residual_m, left_m)

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from gcs_coloc.evaluation.data_checks.checks import check_delays, run_checks
-from gcs_coloc.evaluation.data_checks.findings import DataFinding, FindingKind
 from gcs_coloc.evaluation.data_checks.recorded_data import PositionTrack, RecordedData, position_track
 
 END_S = 120.0
@@ -238,14 +237,6 @@ def test_a_recording_with_few_rows_is_not_checked(rows):
     data = fleet(1)
     few = replace(data, ranges=1000.0 * data.ranges[:rows], heights={v: r[:rows] for v, r in data.heights.items()})
     assert [d for d in run_checks(few) if d.kind.startswith(("range", "height"))] == []
-
-
-def test_a_finding_is_plain_values_for_json():
-    assert DataFinding(FindingKind.RANGE_FACTOR, "words", 2.0).as_dict() == {
-        "kind": "range_factor",
-        "text": "words",
-        "value": 2.0,
-    }
 
 
 def test_three_tags_on_one_body_are_no_repeated_ranges():
