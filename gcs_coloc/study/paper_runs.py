@@ -5,7 +5,7 @@ The filters are the paper's and the fleet filter. The errors of the paper's filt
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -59,7 +59,7 @@ def fly(options: PaperOptions) -> PaperFlight:
     )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Sums:
     """Sums over the steps of a flight by kind of filter, q and draw, shape (K, Q, S).
 
@@ -71,6 +71,16 @@ class Sums:
     squared_m2: FloatArray
     nees: FloatArray
     largest_m: FloatArray
+
+    def add(self, distance: FloatArray, nees: FloatArray) -> None:
+        """Add one step's errors, m, and NEES."""
+        # A filter that has diverged beyond all numbers still has to be a number in the table.
+        distance = np.nan_to_num(distance, nan=_FAR_M, posinf=_FAR_M)
+        self.count += 1
+        self.error_m += distance
+        self.squared_m2 += distance**2
+        self.nees += nees
+        np.maximum(self.largest_m, distance, out=self.largest_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +145,7 @@ def run_paper_filters(flight: PaperFlight, seeds: list[int], constant_R: FloatAr
     draws = [draw(flight.positions_m, flight.velocities_mps, seed, options) for seed in seeds]
     filters = PaperFilters(draws, constant_R, options)
     shape = (len(KINDS), len(options.qs), len(seeds))
-    whole, first = _Accumulator(shape), _Accumulator(shape)
+    whole, first = (Sums(*np.zeros((len(fields(Sums)), *shape))) for _ in range(2))
     keep_every = max(1, round(SAMPLE_S / options.step_s))
     at_q = options.qs.index(options.figure_q)
     kept: list[tuple[float, FloatArray, FloatArray, FloatArray, FloatArray]] = []
@@ -159,8 +169,8 @@ def run_paper_filters(flight: PaperFlight, seeds: list[int], constant_R: FloatAr
     fix = np.array([one[0] for one in fixes])
     truth = flight.positions_m[3, keep_every::keep_every][: len(fix)]
     return PaperRun(
-        whole=whole.sums(),
-        first=first.sums(),
+        whole=whole,
+        first=first,
         series={
             kind: FilterSeries(times, places[:, i], errors[:, i], sigmas[:, i], nees_means[:, i]) for i, kind in enumerate(KINDS)
         },
@@ -213,21 +223,3 @@ def _position(one: Draw, uav: int, k: int, t: float, options: PaperOptions) -> P
         velocity_enu_mps=(ve, vn, 0.0) if start else None,
         sigma_velocity_mps=options.start_speed_sigma_mps if start else None,
     )
-
-
-class _Accumulator:
-    def __init__(self, shape: tuple[int, ...]) -> None:
-        self._error, self._squared, self._nees, self._largest = (np.zeros(shape) for _ in range(4))
-        self._count = 0
-
-    def add(self, distance: FloatArray, nees: FloatArray) -> None:
-        # A filter that has diverged beyond all numbers still has to be a number in the table.
-        distance = np.nan_to_num(distance, nan=_FAR_M, posinf=_FAR_M)
-        self._count += 1
-        self._error += distance
-        self._squared += distance**2
-        self._nees += nees
-        self._largest = np.maximum(self._largest, distance)
-
-    def sums(self) -> Sums:
-        return Sums(np.full_like(self._error, self._count), self._error, self._squared, self._nees, self._largest)

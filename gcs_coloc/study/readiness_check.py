@@ -155,9 +155,7 @@ def _fly(name: str, seed: int) -> Loss | None:
             engine.receive(message)
 
     def error_m(where: Estimate, frame: LocalFrame) -> float:
-        east_m, north_m, _ = fleet.frame.to_enu(*frame.geodetic_from_enu(*where.position_enu_m.tolist()))
-        true_m = fleet.truth_m(vehicle, where.at_s)
-        return hypot(east_m - true_m[0], north_m - true_m[1])
+        return fleet.error_m(vehicle, where.at_s, *frame.geodetic_from_enu(*where.position_enu_m.tolist()))
 
     return _loss(name, engine, vehicle, told, at_s, error_m)
 

@@ -12,7 +12,7 @@ import heapq
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import count
-from math import inf, sqrt
+from math import hypot, inf, sqrt
 
 import numpy as np
 
@@ -119,6 +119,12 @@ class SimulatedFleet:
     def truth_m(self, sysid: int, at_s: float) -> Vector3:
         """Return the true position of a vehicle, m in `frame`."""
         return self._vehicles[sysid].course.position(at_s)
+
+    def error_m(self, sysid: int, at_s: float, lat_deg: float, lon_deg: float, alt_m: float) -> float:
+        """Return how far a position is from where a vehicle truly is, horizontally, m."""
+        east_m, north_m, _ = self.frame.to_enu(lat_deg, lon_deg, alt_m)
+        true_m = self.truth_m(sysid, at_s)
+        return hypot(east_m - true_m[0], north_m - true_m[1])
 
     def is_spoofed(self, sysid: int, at_s: float) -> bool:
         """Whether a vehicle's receiver is faulty at a time."""

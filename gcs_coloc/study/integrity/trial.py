@@ -6,7 +6,7 @@ import csv
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from enum import StrEnum
-from math import hypot, inf
+from math import inf
 from pathlib import Path
 
 from gcs_coloc.core.aiding.settings import AidingSettings
@@ -222,7 +222,8 @@ class _Trial:
         where = self._engine.estimate(sysid, sent_s)
         error_m, bound_m, hpl_m = None, None, None
         if isinstance(where, Estimate) and self._engine.frame is not None:
-            error_m, bound_m = self._error_m(sysid, where, sent_s), horizontal_bound_95_m(where.covariance)
+            place = self._engine.frame.geodetic_from_enu(*where.position_enu_m.tolist())
+            error_m, bound_m = fleet.error_m(sysid, sent_s, *place), horizontal_bound_95_m(where.covariance)
             hpl_m = where.protection.horizontal_m if where.protection is not None else None
         if self._trace is not None:
             inhibit, reason = str(self._engine.decision(sysid).inhibit or ""), self._engine.gps_health.reason(sysid)
@@ -258,11 +259,3 @@ class _Trial:
         event.lasted_s = max(event.lasted_s, at_s - self._stretch_s[key])
         if error_m > event.error_m:
             event.error_m, event.bound_m = error_m, bound_m
-
-    def _error_m(self, sysid: int, where: Estimate, at_s: float) -> float:
-        frame = self._engine.frame
-        assert frame is not None
-        east_m, north_m, up_m = (float(x) for x in where.position_enu_m)
-        east_m, north_m, _ = self._fleet.frame.to_enu(*frame.geodetic_from_enu(east_m, north_m, up_m))
-        true_m = self._fleet.truth_m(sysid, at_s)
-        return hypot(east_m - true_m[0], north_m - true_m[1])
