@@ -17,7 +17,7 @@ from gcs_coloc.core.errors import DataError, UsageError
 from gcs_coloc.core.messages.outbound import Notice, Outbound
 from gcs_coloc.core.schedule import SAME_S
 from gcs_coloc.core.snapshot import VehicleSnapshot
-from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.estimators.registry import load_estimator, plug_in_digest
 from gcs_coloc.recorder.flight_history import WITHOUT_GPS
 from gcs_coloc.recorder.flight_report import FlightReport
 from gcs_coloc.recorder.replay import Replay, replay
@@ -122,7 +122,7 @@ class JudgedFlight:
 class JudgedBy:
     """What replays a recording: the estimator, the engine's settings and our own ids.
 
-    All of it can be sent to another process. `own` is our system and component id.
+    All of it can be sent to another process. `own` is our system and component id, `plug_in` the digest of a plug-in's file.
     """
 
     estimator: str
@@ -130,12 +130,17 @@ class JudgedBy:
     engine: EngineSettings
     own: tuple[int, int]
     fingerprint: str
+    plug_in: str
 
     @classmethod
     def of(cls, settings: Settings) -> JudgedBy:
-        """Take it from the settings of a fleet."""
-        name, estimator_settings = settings.estimator.name, dict(settings.estimator.settings)
-        return cls(name, estimator_settings, settings.engine(), settings.mavlink.own, settings.fingerprint())
+        """Take it from the settings of a fleet.
+
+        Raises:
+            EstimatorError: there is no such estimator.
+        """
+        name, own, fingerprint = settings.estimator.name, settings.mavlink.own, settings.fingerprint()
+        return cls(name, dict(settings.estimator.settings), settings.engine(), own, fingerprint, plug_in_digest(name))
 
 
 def judge_flight(by: JudgedBy, recording: FoundRecording) -> JudgedFlight:

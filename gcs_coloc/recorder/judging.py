@@ -1,12 +1,9 @@
-"""A run that judges recordings, baselines, and the comparison of results with one.
-
-Each result is written at once, so that a run that was stopped goes on where it was.
-"""
+"""A run that judges recordings, baselines, and the comparison of results with one."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from functools import partial
@@ -21,12 +18,7 @@ from gcs_coloc.estimators.registry import plug_in_digest
 from gcs_coloc.recorder.judged_flight import Figures, FoundRecording, JudgedBy, JudgedFlight, judge_flight
 from gcs_coloc.runtime.output_files import writing
 from gcs_coloc.runtime.program import program_digest
-from gcs_coloc.runtime.tasks import Workers, iterate_tasks
-
-_FLIGHTS = "judged.jsonl"
-
-Done = Callable[[int, int], None]
-"""Called with how many of how many recordings are judged."""
+from gcs_coloc.runtime.tasks import KeptResults, Progress, Workers, run_tasks
 
 
 def judged_with(settings: Settings) -> dict[str, str]:
@@ -44,48 +36,21 @@ def judged_with(settings: Settings) -> dict[str, str]:
 
 
 def judge(
-    settings: Settings, recordings: Sequence[FoundRecording], out: Path, workers: Workers, done: Done
+    settings: Settings, recordings: Sequence[FoundRecording], out: Path, workers: Workers, done: Progress
 ) -> list[JudgedFlight]:
-    """Judge the recordings without a result in the directory `out`, and return all results.
+    """Judge the recordings without a result in the directory `out`, and return all results by name.
 
     A result of another program, of other settings or of a changed file does not count.
 
     Raises:
         ClusterError, TaskError: the tasks cannot be done.
         EstimatorError: the estimator cannot be loaded.
-        UsageError: the directory cannot be written to.
+        UsageError: results cannot be read or written.
     """
-    path, header = out / _FLIGHTS, judged_with(settings)
-    known = _read_known(path, header)
-    judged = {r.name: known[r.name] for r in recordings if r.name in known and known[r.name].digest == r.digest}
-    done(len(judged), len(recordings))
     # The longest first, so that no core waits for one at the end.
-    missing = sorted((r for r in recordings if r.name not in judged), key=lambda r: -r.file.stat().st_size)
-    with writing(path, ""):
-        # What another program judged, or is of a file that has changed, is of no use any more.
-        lines = [json.dumps(header), *(json.dumps(asdict(flight)) for flight in judged.values())]
-        path.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
-        with path.open("a", encoding="utf-8") as file:
-            for flight in iterate_tasks(partial(judge_flight, JudgedBy.of(settings)), missing, workers):
-                file.write(json.dumps(asdict(flight)) + "\n")
-                file.flush()
-                judged[flight.name] = flight
-                done(len(judged), len(recordings))
-    return [judged[recording.name] for recording in recordings]
-
-
-def _read_known(path: Path, header: Mapping[str, str]) -> dict[str, JudgedFlight]:
-    """Return what was judged before by the same program; a line that was cut off is left out."""
-    if not path.exists():
-        return {}
-    first, *lines = path.read_text(encoding="utf-8").rpartition("\n")[0].splitlines() or [""]
-    try:
-        if not first or json.loads(first) != header:
-            return {}
-        flights = [JudgedFlight(**json.loads(line)) for line in lines]
-    except (TypeError, ValueError) as error:
-        raise DataError(f"{path}: was not written by this command ({error}); state another --out") from None
-    return {flight.name: flight for flight in flights}
+    longest_first = sorted(recordings, key=lambda recording: -recording.file.stat().st_size)
+    judged = run_tasks(partial(judge_flight, JudgedBy.of(settings)), longest_first, workers, done, KeptResults(out, "--out"))
+    return sorted(judged, key=lambda flight: flight.name)
 
 
 def write_baseline(path: Path, settings: Settings, flights: Sequence[JudgedFlight]) -> None:

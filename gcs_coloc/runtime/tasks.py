@@ -153,14 +153,15 @@ class KeptResults:
     Another program or task finds nothing of these.
     """
 
-    def __init__(self, directory: Path) -> None:
-        """Make the directory where there is none.
+    def __init__(self, directory: Path, option: str = "--resume") -> None:
+        """Make the directory, which `option` names, where there is none.
 
         Raises:
             UsageError: it is a file, or may not be made.
         """
-        make_output_directory(directory, "--resume")
+        make_output_directory(directory, option)
         self._directory = directory
+        self._option = option
 
     def path_of(self, function: Callable[..., object], task: object) -> Path:
         """Return the file of a task's result; it exists where the task was done."""
@@ -176,7 +177,7 @@ class KeptResults:
         try:
             result: object = pickle.loads(path.read_bytes())  # noqa: S301 - as much the user's own as the program is
         except Exception as error:  # a damaged pickle can raise any
-            raise UsageError(f"--resume {self._directory}: {path.name} cannot be read ({error}); delete it") from None
+            raise UsageError(f"{self._option} {self._directory}: {path.name} cannot be read ({error}); delete it") from None
         return result
 
     def store(self, path: Path, result: object) -> None:
@@ -190,4 +191,4 @@ class KeptResults:
             draft.write_bytes(pickle.dumps(result))
             draft.replace(path)
         except OSError as error:
-            raise UsageError(f"--resume {self._directory}: cannot be written to: {error.strerror}") from None
+            raise UsageError(f"{self._option} {self._directory}: cannot be written to: {error.strerror}") from None

@@ -10,7 +10,8 @@ from recorded_flight import write_flight, write_truth
 from recordings import recording
 
 from gcs_coloc.recorder import judging
-from gcs_coloc.recorder.judged_flight import judge_flight
+from gcs_coloc.recorder.judged_flight import FoundRecording, JudgedBy, JudgedFlight, judge_flight
+from gcs_coloc.runtime import tasks
 
 
 @pytest.fixture(scope="module")
@@ -25,26 +26,29 @@ def year(tmp_path_factory) -> Path:
     return root
 
 
+SEEN: list[str] = []
+
+
+def see(by: JudgedBy, found: FoundRecording) -> JudgedFlight:
+    SEEN.append(found.name)
+    return judge_flight(by, found)
+
+
 def watched(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The names of the recordings that are replayed from here on."""
-    seen = []
-
-    def see(by, found):
-        seen.append(found.name)
-        return judge_flight(by, found)
-
     monkeypatch.setattr(judging, "judge_flight", see)
-    return seen
+    SEEN.clear()
+    return SEEN
 
 
 @pytest.fixture(scope="module")
 def baseline(year: Path, tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("baseline") / "baseline.json"
     with pytest.MonkeyPatch.context() as monkeypatch:
-        seen = watched(monkeypatch)
+        watched(monkeypatch)
         ran = gcs_coloc("judge", year, "--write-baseline", path, "--out", path.parent / "out", "--jobs", "1")
     assert ran.returncode == 0, ran.stderr
-    assert seen == ["year/june/flight.tlog", "year/may/flight.tlog"]
+    assert SEEN == ["year/june/flight.tlog", "year/may/flight.tlog"]
     assert "2 recordings" in ran.stdout
     assert f"written: {path}" in ran.stdout
     return path
@@ -97,12 +101,12 @@ def test_a_run_that_was_stopped_goes_on(baseline: Path, year: Path, tmp_path: Pa
     out = shutil.copytree(baseline.parent / "out", tmp_path / "out")
     first = (out / "judge.json").read_bytes()
     (out / "judge.json").unlink()
-    lines = (out / "judged.jsonl").read_text()
-    (out / "judged.jsonl").write_text(lines[:-20])
+    (of_june,) = (path for path in out.glob("*.pickle") if b"june" in path.read_bytes())
+    of_june.unlink()
 
     assert gcs_coloc("judge", year, "--out", out, "--jobs", "1").returncode == 0
 
-    assert judged == ["year/may/flight.tlog"]
+    assert judged == ["year/june/flight.tlog"]
     assert (out / "judge.json").read_bytes() == first
 
 
@@ -116,7 +120,7 @@ def test_another_program_or_file_is_judged_anew(year: Path, tmp_path: Path, judg
     (copy / "may/ranges.csv").write_text("unix_s,from_sysid,to_sysid,range_m,sigma_m\n")
     gcs_coloc(*arguments)
     assert len(judged) == 2
-    monkeypatch.setattr(judging, "program_digest", lambda: "another")
+    monkeypatch.setattr(tasks, "program_versions", lambda: {"source": "another"})
     gcs_coloc(*arguments)
     assert len(judged) == 3
 
