@@ -238,8 +238,8 @@ class FleetService:
         self._publish_warnings(host.received_at_s)
         self.alarms.update(self.snapshots.recent_snapshot())
         self._links.send_heartbeat(self._engine.sysids(), host.received_at_s)
-        if self.alarms.tells_ground_tools:
-            self._links.forwarder.send_status(self.alarms.pop_status_texts(host.received_at_s), self._engine.sysids())
+        if (texts := self.alarms.status_texts) is not None:
+            self._links.forwarder.send_status(texts.pop_due(host.received_at_s), self._engine.sysids())
 
     # What observers get
 

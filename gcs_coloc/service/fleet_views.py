@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 from gcs_coloc.core.alarms.alarms import Alarm, AlarmList
-from gcs_coloc.core.alarms.status_texts import StatusText, StatusTexts
+from gcs_coloc.core.alarms.status_texts import StatusTexts
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.control import HOST_LATE_S
 from gcs_coloc.core.messages.outbound import Notice, ToOperator
@@ -105,12 +105,8 @@ class AlarmDesk:
         self._events = events
         self._record = record
         self._alarms = AlarmList()
-        self._status_texts = StatusTexts() if tells_ground_tools else None
-
-    @property
-    def tells_ground_tools(self) -> bool:
-        """Whether alarms are sent to ground tools."""
-        return self._status_texts is not None
+        self.status_texts = StatusTexts() if tells_ground_tools else None
+        """The texts for ground tools; None where these are not told of alarms."""
 
     def update(self, fleet: FleetSnapshot) -> tuple[Alarm, ...]:
         """Update the alarms from a snapshot of the fleet, and return those in the list."""
@@ -129,13 +125,9 @@ class AlarmDesk:
         if isinstance(message, Notice):
             self._publish(self._alarms.add_notice(message))
 
-    def pop_status_texts(self, now_s: float) -> list[StatusText]:
-        """Return the texts for ground tools of the second from service time `now_s` (s)."""
-        return self._status_texts.pop_due(now_s) if self._status_texts is not None else []
-
     def _publish(self, changed: Iterable[Alarm]) -> None:
         for alarm in changed:
             self._events.publish(alarm)
             self._record(alarm)
-            if self._status_texts is not None:
-                self._status_texts.add(alarm)
+            if self.status_texts is not None:
+                self.status_texts.add(alarm)
