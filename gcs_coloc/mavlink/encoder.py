@@ -123,7 +123,8 @@ def _wire_message(message: ToVehicle) -> Any:
     if isinstance(message, TimeSyncRequest):
         return mavlink.MAVLink_timesync_message(tc1=0, ts1=message.ts1_ns)
     if isinstance(message, StreamRequest):
-        return _stream_request(message)
+        interval = (STREAM_IDS[message.stream], message.interval_us)
+        return _command(message.sysid, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, *interval)
     if isinstance(message, ExternalPosition):
         return _external_position(message)
     if isinstance(message, GlobalPositionSensor):
@@ -173,11 +174,6 @@ def _gps_input(fix: GpsInput) -> Any:
         satellites_visible=fix.satellites,
         yaw=0,
     )
-
-
-def _stream_request(request: StreamRequest) -> Any:
-    """COMMAND_LONG (76) MAV_CMD_SET_MESSAGE_INTERVAL."""
-    return _command(request.sysid, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, STREAM_IDS[request.stream], request.interval_us)
 
 
 def _command(sysid: int, command: int, *parameters: float) -> Any:

@@ -234,9 +234,7 @@ def fleet_line(fleet: FleetShown) -> str:
 
 def _fleet_rows(fleet: FleetShown) -> Iterator[tuple[Text, ...]]:
     style = _LIGHT_STYLES[fleet.light]
-    heard = f"{fleet.age_s:.1f} s" if fleet.age_s is not None and fleet.age_s < 60.0 else "-"
-    if fleet.age_s is not None and fleet.age_s >= 60.0:
-        heard = f"{fleet.age_s / 60.0:.0f} min"
+    heard = age(fleet.age_s) if fleet.age_s is not None else "-"
     yield Text(fleet.name, style="bold"), Text(fleet.host or "unknown"), Text(_fleet_state(fleet), style=style), Text(heard)
     if fleet.problem is not None:
         yield Text(""), Text(""), Text(fleet.problem, style="yellow"), Text("")

@@ -123,7 +123,10 @@ def _stations(scenario: Scenario) -> list[dict[str, float]]:
 def _fly_live(
     scenario: Scenario, scenario_file: str, denied_vehicle: int, estimator: str, seed: int, out: Path, console: Console
 ) -> list[dict[str, str]]:
-    port, truth = _free_port(), out / "live-truth.csv"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    truth = out / "live-truth.csv"
     truth.unlink(missing_ok=True)
     service_log, fakes_log = out / "service.log", out / "sitl-fakes.log"
     with service_log.open("w") as service_out, fakes_log.open("w") as fakes_out:
@@ -252,13 +255,6 @@ def _report(
             f"   the service's own position of UAV{loss.vehicle}: RMSE {on.rmse_m:.1f} m, known {on.located:.1%} of the time, "
             f"median HDOP {on.hdop:.1f}; {with_service.gps_inputs.get(loss.vehicle, 0)} GPS_INPUT sent"
         )
-
-
-def _free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 def draw(figure: Any, scenario: Scenario, loss: GpsLost, with_service: Flight, without: Flight) -> None:
