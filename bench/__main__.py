@@ -83,17 +83,18 @@ def main() -> None:
         if section not in (*_SECTIONS, "all"):
             parser.error(f"no section {section!r}; there are {', '.join(_SECTIONS)}, and all")
     sections = _SECTIONS if "all" in arguments.sections else arguments.sections or _SPEED
-    figures: list[Figure] = []
+    figures: list[tuple[str, Figure]] = []
     for section in sections:
         print(f"{section} ...", file=sys.stderr)
-        figures += _SECTIONS[section](arguments.quick)
+        figures += [(section, figure) for figure in _SECTIONS[section](arguments.quick)]
     table = Table("section", "figure", "measured", "goal", "")
-    for figure in figures:
+    for section, figure in figures:
         result = "" if figure.reached is None else ("reached" if figure.reached else "NOT reached")
-        table.add_row(figure.section, figure.name, figure.value, figure.goal, result)
+        table.add_row(section, figure.name, figure.value, figure.goal, result)
     Console(width=150).print(table)
     if arguments.json is not None:
-        arguments.json.write_text(json.dumps([asdict(figure) for figure in figures], indent=2) + "\n", encoding="utf-8")
+        told = [{"section": section, **asdict(figure)} for section, figure in figures]
+        arguments.json.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -56,7 +56,7 @@ def measure(quick: bool) -> list[Figure]:
 
 
 def _figure(name: str, value: str, goal: str = "", reached: bool | None = None) -> Figure:
-    return Figure("accuracy", name, value, goal, reached)
+    return Figure(name, value, goal, reached)
 
 
 def _own_model(case: ModelCase, runs: int) -> list[Figure]:

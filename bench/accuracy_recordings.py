@@ -32,7 +32,7 @@ def measure_ranges() -> list[Figure]:
     """E5: 3D RMSE of each run of real outdoor ultra-wideband ranges."""
     directory = _DATA / "hanyang"
     if not directory.is_dir():
-        return [Figure("accuracy", "E5 real outdoor ranges", f"skipped: no {directory.name} data beside the checkout", "", None)]
+        return [Figure("E5 real outdoor ranges", f"skipped: no {directory.name} data beside the checkout")]
     figures = []
     for name, (goal_m, authors_m) in _HANYANG.items():
         evaluation = evaluate(directory / name, load_estimator("fleet", {}))
@@ -42,7 +42,6 @@ def measure_ranges() -> list[Figure]:
         anees = f"{score.anees:.2f}" if score.anees is not None else "none"
         figures.append(
             Figure(
-                "accuracy",
                 f"E5 real outdoor ranges, {name}, 3D RMSE",
                 f"{rmse_m:.3f} m (located {score.share_known:.1%}, ANEES {anees} of 3)",
                 f"<= {goal_m} m (authors, with IMU: {authors_m})",
@@ -57,29 +56,22 @@ def measure_replay() -> list[Figure]:
     directory = _DATA / "arduplane"
     name = "E7 real ArduPlane telemetry, 180 s without GPS"
     if not directory.is_dir():
-        return [Figure("accuracy", name, f"skipped: no {directory.name} data beside the checkout", "", None)]
+        return [Figure(name, f"skipped: no {directory.name} data beside the checkout")]
     engine = Engine(load_estimator("fleet", {}))
     report = FlightReport(engine, read_truth(directory / "truth.csv"))
     log, ranges = TlogReader(directory / "flight.tlog"), read_ranges(directory / "ranges.csv")
     driver.replay(driver.Replay(engine, log, ranges, report.add_outputs), report.observation_times(), report.observe)
     score = report.score(_LOST)
     if score is None or score.horizontal is None or score.covered_95 is None:
-        return [Figure("accuracy", name, "never located", "located", False)]
+        return [Figure(name, "never located", "located", False)]
     covers, error = score.covered_95, score.horizontal
     return [
         Figure(
-            "accuracy",
             f"{name}, horizontal RMSE",
             f"{error.rmse_m:.2f} m (located {score.share_known:.1%})",
             "<= 1.0 m (plain CV EKF: 1.29)",
             error.rmse_m <= 1.0,
         ),
-        Figure("accuracy", f"{name}, 95th percentile", f"{error.p95_m:.2f} m", "<= 2.0 m (2.45)", error.p95_m <= 2.0),
-        Figure(
-            "accuracy",
-            f"{name}, 95 % bound covers",
-            f"{covers:.1%} (ANEES {score.anees:.2f} of 2)",
-            "93-98 %",
-            0.93 <= covers <= 0.98,
-        ),
+        Figure(f"{name}, 95th percentile", f"{error.p95_m:.2f} m", "<= 2.0 m (2.45)", error.p95_m <= 2.0),
+        Figure(f"{name}, 95 % bound covers", f"{covers:.1%} (ANEES {score.anees:.2f} of 2)", "93-98 %", 0.93 <= covers <= 0.98),
     ]

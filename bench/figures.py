@@ -11,11 +11,10 @@ from dataclasses import dataclass
 class Figure:
     """A value with its goal in words; `reached` is None where there is no goal."""
 
-    section: str
     name: str
     value: str
-    goal: str
-    reached: bool | None
+    goal: str = ""
+    reached: bool | None = None
 
 
 def interleaved(takers: Mapping[str, Callable[[], float]], repeats: int) -> dict[str, float]:

@@ -40,7 +40,7 @@ def measure(quick: bool) -> list[Figure]:
             longest_ms = max(relay.run(each_s), default=float("inf"))
             share, waiting = (cpu_s(service.pid) - used_s) / each_s, (waited_s(service.pid) - waiting_s) / each_s
             value = f"{longest_ms:.0f} ms, CPU {share:.0%} of a core, waited for one {waiting:.0%} of the time"
-            figures = [Figure("flood", "idle: longest gap in GPS_INPUT", value, "", None)]
+            figures = [Figure("idle: longest gap in GPS_INPUT", value)]
             for addresses in (1, 500):
                 figures += _flooded(service.pid, relay, port, each_s, addresses, longest_ms)
         return figures
@@ -69,13 +69,10 @@ def _flooded(pid: int, relay: Relay, port: int, seconds: float, addresses: int, 
     spent = f"CPU {share:.0%}, waiting {waiting:.0%}"
     return [
         Figure(
-            "flood",
             f"{name}: longest gap in GPS_INPUT",
             f"{longest_ms:.0f} ms ({longest_ms / idle_ms:.1f} x idle), {per_s:.1f} a second, {spent}",
             f"<= {_LIMIT_MS:.0f} ms",
             longest_ms <= _LIMIT_MS and per_s >= 9.0,
         ),
-        Figure(
-            "flood", f"{name}: memory, second half", f"{growth_mb:+.1f} MB of {half_mb:.0f}", "<= 1 %", growth_mb <= half_mb / 100
-        ),
+        Figure(f"{name}: memory, second half", f"{growth_mb:+.1f} MB of {half_mb:.0f}", "<= 1 %", growth_mb <= half_mb / 100),
     ]

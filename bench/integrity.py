@@ -63,7 +63,6 @@ def _exclusion(name: str, scenario: Scenario, runs: int) -> Figure:
     median_s = float(np.median([w.excluded_after_s for w in walks]))
     what = f"{scenario.walk_mps:g} m/s" if scenario.walk_mps else "a step"
     return Figure(
-        "integrity",
         f"peer spoofed, {what}: {name}, {runs} runs",
         f"excluded in time in {kept:.1%}, error passed the bound first in {passed:.1%}; median after {median_s:.1f} s",
         ">= 95 % before the denied vehicle's error passes 1.5 x its 95 % bound",
@@ -101,11 +100,9 @@ def _false_exclusions(hours: float) -> list[Figure]:
     for name, count, vehicles in flights:
         here, share_h = sum(next(excluded) for _ in range(count)), count * vehicles * _FLIGHT_S / 3600.0
         total, vehicle_hours = total + here, vehicle_hours + share_h
-        figures.append(Figure("integrity", f"clean flight, {share_h:.1f} vehicle-hours: {name}", f"{here} excluded", "", None))
+        figures.append(Figure(f"clean flight, {share_h:.1f} vehicle-hours: {name}", f"{here} excluded"))
     goal = total < max(0.1 * vehicle_hours, 1.0) if vehicle_hours >= 10.0 or total else None
-    figures.append(
-        Figure("integrity", f"false exclusions in {vehicle_hours:.1f} vehicle-hours", str(total), "< 1 in 10 vehicle-hours", goal)
-    )
+    figures.append(Figure(f"false exclusions in {vehicle_hours:.1f} vehicle-hours", str(total), "< 1 in 10 vehicle-hours", goal))
     return figures
 
 

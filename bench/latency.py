@@ -31,7 +31,6 @@ def measure(quick: bool) -> list[Figure]:
     p50, p99 = np.percentile(spent_us[:, 0], [50, 99])
     before_us = np.median(spent_us[:, 1])
     figure = Figure(
-        "latency",
         f"range datagram to estimate, CPU, {len(spent_us)} ranges",
         f"p50 {p50:.0f} us, p99 {p99:.0f} us",
         f"p50 <= {_P50_US:.0f} us, p99 <= {_P99_US:.0f} us",
@@ -46,8 +45,8 @@ def measure(quick: bool) -> list[Figure]:
     again = [sys.executable, "-m", "bench.latency"]
     return [
         figure,
-        Figure("latency", "its floor", floor, "", None),
-        where_it_goes("latency", again, lambda process: process.wait(), within=_receive.__name__),
+        Figure("its floor", floor),
+        where_it_goes(again, lambda process: process.wait(), within=_receive.__name__),
     ]
 
 

@@ -71,19 +71,18 @@ def measure_throughput(quick: bool) -> list[Figure]:
     ratio = cost_us["mavutil"] / cost_us["service"]
     return [
         Figure(
-            "throughput",
             f"service, {fleets} fleets of four, one of each without GPS, messages per CPU second",
             f"{1e6 / cost_us['service']:,.0f} ({cost_us['service']:.0f} us each), {ratio:.2f} x a mavutil loop that merely reads",
             ">= 1.0 x",
             ratio >= 1.0,
         ),
         *(
-            Figure("throughput", f"{name} on the same datagrams", f"{1e6 / cost:,.0f} ({cost:.1f} us each)", "", None)
+            Figure(f"{name} on the same datagrams", f"{1e6 / cost:,.0f} ({cost:.1f} us each)")
             for name, cost in cost_us.items()
             if name != "service"
         ),
-        *([] if mavproxy is not None else [Figure("throughput", "MAVProxy on the same datagrams", "not installed", "", None)]),
-        *([] if ratio >= 1.0 else [_where_it_goes("throughput", fleets, seconds)]),
+        *([] if mavproxy is not None else [Figure("MAVProxy on the same datagrams", "not installed")]),
+        *([] if ratio >= 1.0 else [_where_it_goes(fleets, seconds)]),
     ]
 
 
@@ -98,7 +97,6 @@ def measure_vehicles(quick: bool) -> list[Figure]:
         steady = bool(p99 < _MOST_JITTER_MS and run.outputs_per_s > 0.98 * expected)
         figures.append(
             Figure(
-                "vehicles",
                 f"{vehicles} vehicles in fleets of four, GPS_INPUT interval off 100 ms",
                 f"p50 {p50:.1f} ms, p99 {p99:.1f} ms, {run.outputs_per_s:.0f} of {expected:.0f}/s, "
                 f"CPU {run.share:.0%}, {run.cpu_us_per_message:.0f} us a message, {run.rss_mb:.0f} MB; "
@@ -108,7 +106,7 @@ def measure_vehicles(quick: bool) -> list[Figure]:
             )
         )
     if not figures[-1].reached:
-        figures.append(_where_it_goes("vehicles", _GOAL_VEHICLES // _VEHICLES_A_FLEET, seconds))
+        figures.append(_where_it_goes(_GOAL_VEHICLES // _VEHICLES_A_FLEET, seconds))
     return figures
 
 
@@ -126,7 +124,6 @@ def measure_processes(quick: bool) -> list[Figure]:
     linearity, outputs = two / (2.0 * one), {fleets: float(np.median(of_each)) for fleets, of_each in came.items()}
     figures = [
         Figure(
-            "processes",
             f"vehicles per core, {fleets} process(es), each a fleet of {_LARGE.vehicles} with {_LARGE.denied} denied",
             f"{fleets * _LARGE.vehicles / share:.0f} (CPU {share:.0%} of a core, {outputs[fleets]:.0f} GPS_INPUT/s)",
             f"{fleets * _LARGE.denied * 10} GPS_INPUT/s",
@@ -135,7 +132,7 @@ def measure_processes(quick: bool) -> list[Figure]:
         for fleets, share in ((1, one), (2, two))
     ]
     name = "CPU of two processes over twice that of one"
-    return [*figures, Figure("processes", name, f"{linearity:.2f}", "<= 1.10", linearity <= 1.10)]
+    return [*figures, Figure(name, f"{linearity:.2f}", "<= 1.10", linearity <= 1.10)]
 
 
 def _worker_processes(fleets: int, seconds: float) -> tuple[float, float]:
@@ -155,7 +152,7 @@ def _service(fleets: int, seconds: float) -> _Run:
         return _under_load(program, ports, seconds)
 
 
-def _where_it_goes(section: str, fleets: int, seconds: float) -> Figure:
+def _where_it_goes(fleets: int, seconds: float) -> Figure:
     ports = free_ports(fleets)
 
     def drive(process: subprocess.Popen[bytes]) -> None:
@@ -163,7 +160,7 @@ def _where_it_goes(section: str, fleets: int, seconds: float) -> Figure:
         put_under_load([process], [str(port) for port in ports], seconds)
 
     with _program(ports) as program:
-        return where_it_goes(section, program, drive, within="BaseEventLoop._run_once")
+        return where_it_goes(program, drive, within="BaseEventLoop._run_once")
 
 
 @contextmanager

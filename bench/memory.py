@@ -30,15 +30,9 @@ def measure(quick: bool) -> list[Figure]:
     growth = end / half - 1.0
     return [
         Figure(
-            "memory",
-            f"growth over the second half of {laps} min",
-            f"{growth:+.2%} ({half:.1f} -> {end:.1f} MB)",
-            "<= 1 %",
-            growth <= 0.01,
+            f"growth over the second half of {laps} min", f"{growth:+.2%} ({half:.1f} -> {end:.1f} MB)", "<= 1 %", growth <= 0.01
         ),
-        Figure(
-            "memory", f"resident after {laps} min, without the page", f"{end:.0f} MB", f"<= {_MOST_MB:.0f} MB", end <= _MOST_MB
-        ),
+        Figure(f"resident after {laps} min, without the page", f"{end:.0f} MB", f"<= {_MOST_MB:.0f} MB", end <= _MOST_MB),
     ]
 
 

@@ -96,7 +96,7 @@ def measure(quick: bool) -> list[Figure]:
     measured_s = 5.0 if quick else 30.0
     mosquitto = shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin:/usr/bin:/usr/local/bin")
     if mosquitto is None:
-        return [Figure("operator", "CPU", "skipped: mosquitto is not installed", "", None)]
+        return [Figure("CPU", "skipped: mosquitto is not installed")]
     arms = {"bare": _Arm(), "observed": _Arm()}
     floor_s = 0.0
     work: list[str] = []
@@ -112,13 +112,12 @@ def measure(quick: bool) -> list[Figure]:
     floor = f"{1.0 + floor_s / bare.used_s:.3f} ({floor_s / bare.span_s:.1%} of a core)"
     return [
         Figure(
-            "operator",
             f"CPU with {PAGES} pages, MQTT and recording, over the bare service",
             f"{ratio:.3f} ({shares}; {work[-1]})",
             "< 1.15",
             ratio < 1.15,
         ),
-        Figure("operator", "the same if they cost no more than their bytes do through the same libraries", floor, "", None),
+        Figure("the same if they cost no more than their bytes do through the same libraries", floor),
         *(_delay(name, bare, observed) for name in bare.delays_ms),
     ]
 
@@ -131,7 +130,6 @@ def _delay(name: str, bare: _Arm, observed: _Arm) -> Figure:
     )
     each = ", ".join(f"{p99:.1f}" for p99 in observed.p99s(name))
     return Figure(
-        "operator",
         f"{name}, p50 and p99",
         f"{told}: p99 {observed.p(name, 99) / bare.p(name, 99):.2f} times (in each repeat {each})",
         f"p99 within those of the bare one's repeats, {min(noise):.1f} to {max(noise):.1f} ms",

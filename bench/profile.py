@@ -32,9 +32,7 @@ _PARTS = (
 )
 
 
-def where_it_goes(
-    section: str, program: Sequence[str], drive: Callable[[subprocess.Popen[bytes]], object], within: str
-) -> Figure:
+def where_it_goes(program: Sequence[str], drive: Callable[[subprocess.Popen[bytes]], object], within: str) -> Figure:
     """Run a program under py-spy, and put what it does below the function `within` (its qualified name) into shares.
 
     `drive` is given py-spy's process, of which the program is a child, and returns when it has seen enough.
@@ -42,7 +40,7 @@ def where_it_goes(
     name = "where its CPU time goes"
     py_spy = Path(sys.executable).with_name("py-spy")
     if not py_spy.exists():
-        return Figure(section, name, "py-spy is not installed (pip install -e '.[bench]')", "", None)
+        return Figure(name, "py-spy is not installed (pip install -e '.[bench]')")
     with tempfile.TemporaryDirectory() as directory:
         told, stacks = Path(directory) / "told", Path(directory) / "stacks"
         command = [str(py_spy), "record", "--rate", str(_LOOKS_PER_S), "--format", "raw", "--output", str(stacks), "--", *program]
@@ -53,11 +51,11 @@ def where_it_goes(
                 process.send_signal(signal.SIGINT)
                 process.wait(_ENDS_WITHIN_S)
         if not stacks.exists():
-            return Figure(section, name, f"py-spy failed: {told.read_text(errors='replace').strip()[-200:]}", "", None)
+            return Figure(name, f"py-spy failed: {told.read_text(errors='replace').strip()[-200:]}")
         shares = shares_by_part(stacks.read_text(encoding="utf-8").splitlines(), within)
     total = sum(shares.values())
     told_shares = (f"{part} {looks / total:.0%}" for part, looks in shares.most_common() if looks >= _LEAST_SHARE * total)
-    return Figure(section, name, f"{', '.join(told_shares)} (of {total} looks)", "", None)
+    return Figure(name, f"{', '.join(told_shares)} (of {total} looks)")
 
 
 def shares_by_part(stacks: Iterable[str], within: str) -> Counter[str]:

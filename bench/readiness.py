@@ -71,14 +71,11 @@ def measure(quick: bool) -> list[Figure]:
     states = {str(v.readiness.state) for v in engine.snapshot(t).vehicles if v.readiness is not None}
     what = f"readiness of {_VEHICLES} vehicles with {_PEERS} peers or more ({', '.join(sorted(states))})"
     return [
-        Figure("readiness", f"CPU, {what}", f"{share:.1%} of a core", "<= 2 %", share <= _MOST_SHARE),
-        Figure("readiness", "share of the engine's CPU time in the same run", f"{(spent_s + kept_s) / whole_s:.1%}", "", None),
+        Figure(f"CPU, {what}", f"{share:.1%} of a core", "<= 2 %", share <= _MOST_SHARE),
+        Figure("share of the engine's CPU time in the same run", f"{(spent_s + kept_s) / whole_s:.1%}"),
         Figure(
-            "readiness",
             f"a prediction ({count} of them)",
             f"{spent_s / max(count, 1) * 1e3:.1f} ms on average, {longest_s * 1e3:.1f} ms at most",
-            "",
-            None,
         ),
     ]
 

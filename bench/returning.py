@@ -58,18 +58,16 @@ def measure(quick: bool) -> list[Figure]:
         delayed = sum(healthy > _IN_TIME_S for healthy in healthy_s)
         late, flown = late + delayed, flown + runs
         text = f"healthy after {np.median(healthy_s):.1f} s (median); {delayed} of {runs} later than {_IN_TIME_S:g} s"
-        figures.append(Figure("returning", f"comes back right: {name}", text, "", None))
+        figures.append(Figure(f"comes back right: {name}", text))
     most = float(beta.ppf(0.975, late + 1, flown - late))
-    figures.append(
-        Figure("returning", f"delayed of {flown} that come back right", f"{late}: at most {most:.1%} are", "none", late == 0)
-    )
+    figures.append(Figure(f"delayed of {flown} that come back right", f"{late}: at most {most:.1%} are", "none", late == 0))
     for name, scenario in _WRONG_FLIGHTS:
         times = _flights(name, scenario, runs)
         believed = sum(isfinite(healthy) and healthy < found for healthy, found in times)
         found_s = np.array([found for _, found in times])
         when = f"{np.median(found_s):.1f} s (median), {found_s.max():.1f} s at most"
         text = f"found wrong after {when}; healthy before that in {believed} of {runs}"
-        figures.append(Figure("returning", f"comes back: {name}", text, "", None))
+        figures.append(Figure(f"comes back: {name}", text))
     return figures
 
 

@@ -26,22 +26,19 @@ def measure(quick: bool) -> list[Figure]:
     cost = {(heard, failed): _cost(heard, failed, seconds) for failed in _FAILED for heard in _HEARD}
     figures = [
         Figure(
-            "scaling",
             f"CPU per measurement, {failed} denied, {', '.join(map(str, _HEARD))} heard",
             ", ".join(f"{cost[heard, failed][0]:.0f}" for heard in _HEARD) + " us",
-            "",
-            None,
         )
         for failed in _FAILED
     ]
     for failed in _FAILED:
         exponent = _exponent(_HEARD, [cost[heard, failed][1] for heard in _HEARD])
         name = f"CPU per second of flight ~ (vehicles heard)^a, {failed} denied"
-        figures.append(Figure("scaling", name, f"a = {exponent:.2f}", "a <= 1", exponent <= 1.0))
+        figures.append(Figure(name, f"a = {exponent:.2f}", "a <= 1", exponent <= 1.0))
     for heard in (10, 100):
         exponent = _exponent(_FAILED, [cost[heard, failed][1] for failed in _FAILED])
         name = f"CPU per second of flight ~ (denied vehicles)^b, {heard} heard"
-        figures.append(Figure("scaling", name, f"b = {exponent:.2f}", "b near 1", exponent <= 1.2))
+        figures.append(Figure(name, f"b = {exponent:.2f}", "b near 1", exponent <= 1.2))
     return figures
 
 

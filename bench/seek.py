@@ -45,14 +45,12 @@ def measure(quick: bool) -> list[Figure]:
         seek_s = [_seek(playback, rng.uniform(store.first_s, store.last_s)) for _ in range(seeks)]
     return [
         Figure(
-            "seek",
             f"to a computed position in a flight of {flight_s / 60:.0f} min, picture, events and tracks, CPU",
             f"mean {statistics.fmean(seek_s) * 1e3:.1f} ms, most {max(seek_s) * 1e3:.1f} ms",
             f"most <= {_MAX_SEEK_S * 1e3:.0f} ms",
             max(seek_s) <= _MAX_SEEK_S,
         ),
         Figure(
-            "seek",
             "the pass that computes the pictures, CPU of a plain replay",
             f"{pass_s / plain_s:.2f} x ({pass_s:.1f} s; {len(store)} pictures, {store.size_bytes / 1e6:.1f} MB)",
             f"<= {_MAX_PASS_RATIO:.1f} x",

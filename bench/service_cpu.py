@@ -43,27 +43,13 @@ def measure(quick: bool) -> list[Figure]:
     p50, p99 = np.percentile(np.abs(np.array(intervals_ms) - 100.0), [50, 99])
     return [
         Figure(
-            "service",
-            "CPU, four vehicles at 10 Hz, one aided",
-            f"{service.cpu_share:.1%} of a core",
-            "< 10 %",
-            service.cpu_share < 0.10,
+            "CPU, four vehicles at 10 Hz, one aided", f"{service.cpu_share:.1%} of a core", "< 10 %", service.cpu_share < 0.10
         ),
-        Figure("service", "ratio to a mavutil loop that merely reads", f"{service.cpu_share / reader.cpu_share:.2f}", "", None),
+        Figure("ratio to a mavutil loop that merely reads", f"{service.cpu_share / reader.cpu_share:.2f}"),
         Figure(
-            "service",
-            "resident memory",
-            f"{service.rss_mb:.0f} MB (reader {reader.rss_mb:.0f} MB)",
-            "<= 120 MB",
-            service.rss_mb <= 120.0,
+            "resident memory", f"{service.rss_mb:.0f} MB (reader {reader.rss_mb:.0f} MB)", "<= 120 MB", service.rss_mb <= 120.0
         ),
-        Figure(
-            "service",
-            "GPS_INPUT interval, deviation from 100 ms",
-            f"p50 {p50:.1f} ms, p99 {p99:.1f} ms",
-            "p99 < 20 ms",
-            p99 < 20.0,
-        ),
+        Figure("GPS_INPUT interval, deviation from 100 ms", f"p50 {p50:.1f} ms, p99 {p99:.1f} ms", "p99 < 20 ms", p99 < 20.0),
     ]
 
 

@@ -120,12 +120,9 @@ def measure(quick: bool) -> list[Figure]:
     own = cost_us.pop("fleet")
     goals = {name: name.startswith(("filterpy EKF, same", "Stone", "GTSAM")) for name in cost_us}
     return [
-        Figure(
-            "step", "fleet filter, CPU for each range, reports of the peers and questions included", f"{own:.0f} us", "", None
-        ),
+        Figure("fleet filter, CPU for each range, reports of the peers and questions included", f"{own:.0f} us"),
         *(
             Figure(
-                "step",
                 f"beside {name}",
                 f"{cost:.0f} us: {cost / own:.2f} times ours",
                 "> 1" if goals[name] else "",
@@ -133,11 +130,7 @@ def measure(quick: bool) -> list[Figure]:
             )
             for name, cost in cost_us.items()
         ),
-        *(
-            Figure("step", f"beside {name}", "not installed", "> 1", None)
-            for name in ("stonesoup", "gtsam")
-            if not installed(name)
-        ),
+        *(Figure(f"beside {name}", "not installed", "> 1") for name in ("stonesoup", "gtsam") if not installed(name)),
     ]
 
 

@@ -41,7 +41,7 @@ def _study_cpu(flight_s: float, flights: int) -> Figure:
         used.append((time.process_time() - began_s) * 3600.0 / flight_s)
     value = f"{median(used):.0f} s ({min(used):.0f} to {max(used):.0f} s, {flights} flights of {flight_s:.0f} s)"
     name = "CPU for a flight hour of four aircraft in an integrity study"
-    return Figure("studies", name, value, f"<= {_CPU_GOAL_S:.0f} s", median(used) <= _CPU_GOAL_S)
+    return Figure(name, value, f"<= {_CPU_GOAL_S:.0f} s", median(used) <= _CPU_GOAL_S)
 
 
 def _judged(flight_s: float) -> Figure:
@@ -53,7 +53,7 @@ def _judged(flight_s: float) -> Figure:
         judged = judge_flight(by, found)
         used_s = time.process_time() - began_s
     value = f"{judged.duration_s / used_s:.1f} (a recording of {judged.duration_s:.0f} s, four aircraft, one denied)"
-    return Figure("studies", "flight hours judged per core hour", value, "", None)
+    return Figure("flight hours judged per core hour", value)
 
 
 def _record(file: Path, flight_s: float) -> None:
@@ -72,7 +72,7 @@ def _scaling(quick: bool) -> list[Figure]:
     """
     repeats, tasks = (1, 12) if quick else (3, 20)
     if (os.cpu_count() or 1) < 2:
-        return [Figure("studies", "scaling on a Dask cluster", "needs two cores", "", None)]
+        return [Figure("scaling on a Dask cluster", "needs two cores")]
     walls: dict[str, list[float]] = {"alone": [], "pool": [], "one": [], "two": []}
     busy: dict[str, list[float]] = {name: [] for name in walls}
     with _dask_workers(1) as one, _dask_workers(2) as two:
@@ -97,13 +97,13 @@ def _scaling(quick: bool) -> list[Figure]:
     return [
         _ratio("two Dask workers against one, by the clock", faster, _SCALING_GOAL),
         _ratio("two Dask workers against the plain pool of two", against, _POOL_GOAL),
-        Figure("studies", "the plain pool of two against one process: the machine's own limit", _spread(possible), "", None),
-        Figure("studies", "share of the time in which workers are at a task", shares, "", None),
+        Figure("the plain pool of two against one process: the machine's own limit", _spread(possible)),
+        Figure("share of the time in which workers are at a task", shares),
     ]
 
 
 def _ratio(name: str, found: list[float], goal: float) -> Figure:
-    return Figure("studies", name, _spread(found), f">= {goal} x", median(found) >= goal)
+    return Figure(name, _spread(found), f">= {goal} x", median(found) >= goal)
 
 
 def _spread(found: list[float]) -> str:

@@ -50,11 +50,10 @@ def measure(quick: bool) -> list[Figure]:
     median_s, text = gaps_s[len(gaps_s) // 2], f"{within} of {kills} within {_GOAL_S} s"
     return [
         Figure(
-            "takeover",
             f"{kills} times kill -9 of the active service: gap in GPS_INPUT",
             f"{median_s:.2f} s (median), {gaps_s[-1]:.2f} s at most; {text} ({all_of_them})",
             f"{kills} of {kills} within {_GOAL_S} s",
             taken == within == kills,
         ),
-        Figure("takeover", "changes of the sender, one for each kill", str(len(found)), str(kills), len(found) == kills),
+        Figure("changes of the sender, one for each kill", str(len(found)), str(kills), len(found) == kills),
     ]

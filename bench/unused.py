@@ -27,7 +27,6 @@ def measure(quick: bool) -> list[Figure]:
     used_us = cost_us["service"] - cost_us["reader"]
     return [
         Figure(
-            "unused",
             "a message that nobody uses, after its datagram was read",
             f"{used_us:.1f} us; sending and reading it {cost_us['reader']:.1f} us",
             f"< {_GOAL_US:.0f} us",

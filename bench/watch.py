@@ -49,9 +49,8 @@ def measure(quick: bool) -> list[Figure]:
         share = (cpu_s(process.pid) - before_s) / (time.monotonic() - began_s)
     what = f"{_FLEETS} fleets of {_VEHICLES}, one page open"
     return [
-        Figure("watch", f"CPU, {what}", f"{share:.1%} of a core", f"<= {_CPU_GOAL:.0%}", share <= _CPU_GOAL),
+        Figure(f"CPU, {what}", f"{share:.1%} of a core", f"<= {_CPU_GOAL:.0%}", share <= _CPU_GOAL),
         Figure(
-            "watch",
             f"age of what the page shows, {what}",
             f"{sorted(ages_s)[len(ages_s) // 2]:.2f} s (median), {max(ages_s):.2f} s at most",
             f"<= {_AGE_GOAL_S:g} s",
