@@ -218,6 +218,7 @@ class NoEstimateReason(WordedReason):
         "too_uncertain",
         "too uncertain: {value:.0f} m (1-sigma) horizontally; more or better placed ranges are needed{detail}",
     )
+    UNTESTED = "untested", "found from ranges just now, which have not been tested against each other yet"
     BEFORE_MEASUREMENTS = "before_measurements", "asked for a time {value:.1f} s before its newest measurement"
     ESTIMATOR_FAILED = "estimator_failed", "the estimator {detail}"
     OTHER = "other", "{detail}"

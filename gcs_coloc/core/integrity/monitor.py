@@ -15,6 +15,7 @@ from dataclasses import replace
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.evidence import FaultReason, PositionFault
+from gcs_coloc.core.gps_health.gps_health import DISTRUSTED
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch
 from gcs_coloc.core.integrity.protection_level import (
     Exposure,
@@ -28,7 +29,18 @@ from gcs_coloc.core.integrity.range_residuals import TrackPoint
 from gcs_coloc.core.integrity.reacquisition import ReacquisitionMonitor
 from gcs_coloc.core.integrity.report import IntegrityReport, ReviewedVehicle
 from gcs_coloc.core.integrity.solution_separation import SolutionSeparation, range_excess_m2
-from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeasurement, Residual
+from gcs_coloc.core.measurements import (
+    Estimate,
+    NoEstimate,
+    NoEstimateReason,
+    PositionMeasurement,
+    RangeMeasurement,
+    Residual,
+    Unlocated,
+)
+
+_TESTED_WITHIN_S = 1.0
+"""Ranges that have located a vehicle are tested by then, or cannot be. Chosen: two reviews more than ranges at 5 Hz take."""
 
 
 class IntegrityMonitor:
@@ -37,6 +49,7 @@ class IntegrityMonitor:
     def __init__(self, protection: ProtectionSettings | None = None) -> None:
         self._protection = protection if protection is not None else ProtectionSettings()
         self._fault_levels: dict[int, FaultLevel] = {}
+        self._untested_until_s: dict[int, float] = {}
         self._consistency = RangeConsistency()
         self._reacquisition = ReacquisitionMonitor()
 
@@ -89,6 +102,7 @@ class IntegrityMonitor:
             faults={**reacquired.faults, **self._faults(vehicles)},
             separation_m2=tested.separation_m2,
             fault_levels=dict(self._fault_levels),
+            untested=frozenset(self._untested_until_s),
             noise=self._consistency.noise,
             range_excess_m2=range_excess_m2(self.stated_epoch, self.epoch),
         )
@@ -106,8 +120,13 @@ class IntegrityMonitor:
         """
         return self._consistency.stated_epoch
 
-    def protect(self, report: IntegrityReport, estimate: Estimate, exposure: Exposure) -> Estimate:
-        """Return the estimate as it may be stated: inflated by a report, with its protection level."""
+    def protect(self, report: IntegrityReport, estimate: Estimate, exposure: Exposure) -> Estimate | NoEstimate:
+        """Return the estimate as it may be stated: inflated by a report, with its protection level.
+
+        One that ranges alone have begun is not stated before a review has tested these ranges.
+        """
+        if estimate.vehicle in report.untested:
+            return NoEstimate(estimate.vehicle, estimate.at_s, Unlocated(NoEstimateReason.UNTESTED))
         inflated = report.inflate(estimate)
         level = protection_level(inflated, report.fault_levels.get(estimate.vehicle), exposure, self._protection)
         return replace(inflated, protection=level)
@@ -118,15 +137,19 @@ class IntegrityMonitor:
         separation = SolutionSeparation(epoch) if located and epoch.residuals else None
         levels: dict[int, FaultLevel] = {}
         also = self._consistency.also
+        unlocated = [v.sysid for v in vehicles if v.estimate is None and v.gps_state in DISTRUSTED and not v.is_witness]
+        untested_until_s = dict.fromkeys(unlocated, now_s + _TESTED_WITHIN_S)
         for sysid, where in located:
             ranged_at_s = self._consistency.residuals.ranged_at_s(sysid)
             if separation is not None and ranged_at_s is not None and sysid in separation.vehicles:
                 levels[sysid] = fault_level(separation.of(sysid), where, ranged_at_s, self._protection, also)
+            elif where.ranges_in_use > 0 and now_s < (until_s := self._untested_until_s.get(sysid, now_s)):
+                untested_until_s[sysid] = until_s
             else:
                 # Until it has ranges, its last own position carries it; after them its last level does, which grows with time.
                 beginning = FaultLevel(0.0, horizontal_sigma_m(where.protected_covariance), now_s, ())
                 levels[sysid] = self._fault_levels.get(sysid, beginning)
-        self._fault_levels = levels
+        self._fault_levels, self._untested_until_s = levels, untested_until_s
 
     def _place_by_estimate(self, vehicle: ReviewedVehicle, now_s: float) -> None:
         """Let a vehicle take part where the estimator has it, without a prior; not at all without an estimate."""

@@ -218,6 +218,8 @@ class RangeResidualBuffer:
                 continue
             i, j = pair = m.from_vehicle, m.to_vehicle
             if i not in self._tracks or j not in self._tracks:
+                if at_s >= now_s - _MAX_EXTRAPOLATION_S:
+                    waiting.append(m)  # a vehicle that is placed soon is tested by them at once
                 continue
             a, b = self._tracks[i].at(at_s), self._tracks[j].at(at_s)
             if a is None or b is None:

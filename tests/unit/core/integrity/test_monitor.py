@@ -1,6 +1,6 @@
 """The engine against a spoofed receiver in simulated flights: GPS states, notices, estimates."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from math import inf
 
@@ -23,8 +23,9 @@ from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.integrity.monitor import IntegrityMonitor
+from gcs_coloc.core.integrity.protection_level import Exposure
 from gcs_coloc.core.integrity.report import ReviewedVehicle
-from gcs_coloc.core.measurements import PositionMeasurement, RangeMeasurement
+from gcs_coloc.core.measurements import Estimate, NoEstimate, NoEstimateReason, PositionMeasurement, RangeMeasurement
 
 SOUND = (GpsState.HEALTHY, GpsState.UNKNOWN)
 
@@ -174,3 +175,29 @@ def test_who_is_suspect_is_tested_but_counts_as_no_anchor_in_the_level():
         monitor.review(t + 0.05, vehicles, frame)
     assert 4 in monitor.epoch.priors
     assert monitor.epoch.reporting == {1, 2, 3}
+
+
+def test_what_ranges_alone_have_begun_is_not_stated_before_they_were_tested():
+    """A real ArduPlane whose ranges to one peer were 25 m too long was found 23 m off, with a protection level of 12 m."""
+    places_m = {1: (0.0, 0.0, 100.0), 2: (500.0, 20.0, 110.0), 3: (480.0, 520.0, 95.0), 4: (200.0, 300.0, 105.0)}
+    monitor, frame = IntegrityMonitor(), LocalFrame(47.0, 8.0, 500.0)
+    sound = [ReviewedVehicle(v, GpsState.HEALTHY, is_trusted=True, is_witness=True, is_automatic=True) for v in (1, 2, 3)]
+    lost = ReviewedVehicle(4, GpsState.FAILED, is_trusted=False, is_witness=False, is_automatic=True)
+    covariance = np.diag([1.0, 1.0, 4.0, 0.3, 0.3, 0.3])
+    stated = {}
+    for step in range(1, 12):
+        t = 0.2 * step
+        for v in (1, 2, 3):
+            monitor.add_position(PositionMeasurement(v, t, t, places_m[v], 1.5, 2.4, (0.0, 0.0, 0.0), 0.3))
+            range_m = float(np.linalg.norm(np.subtract(places_m[4], places_m[v])))
+            monitor.add_range(RangeMeasurement(4, v, t - 0.01, t, range_m, 0.5))
+        found = Estimate(4, t, np.array(places_m[4]), np.zeros(3), covariance, 1.2, 3) if t > 1.1 else None
+        report = monitor.review(t + 0.05, [*sound, replace(lost, estimate=found)], frame)
+        if found is not None:
+            stated[round(t, 1)] = monitor.protect(report, found, Exposure(delay_is_known=True, shown_until_s=None))
+    first, *_, last = stated.values()
+    assert isinstance(first, NoEstimate)
+    assert first.reason.reason is NoEstimateReason.UNTESTED
+    # The ranges from before it was found test it, two reviews later.
+    assert isinstance(stated[1.6], Estimate)
+    assert last.protection.horizontal_m > 12.0
