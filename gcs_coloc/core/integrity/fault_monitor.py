@@ -95,7 +95,7 @@ class FaultMonitor:
             if not by_peer:
                 continue
             denied.ranges = {}
-            denied.off = frozenset(peer for peer in by_peer if unordered((vehicle, peer)) in noise.pairs_off)
+            denied.off = frozenset(peer for peer in by_peer if unordered((vehicle, peer)) in noise.isolated_pairs)
             filters.exclude(excluded)
             staying = filters.staying(at_s)
             of_tests = {b if a == vehicle else a for a, b in tested if vehicle in (a, b)}

@@ -17,18 +17,20 @@ from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.evidence import FaultReason, PositionFault
 from gcs_coloc.core.gps_health.gps_health import DISTRUSTED
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch
+from gcs_coloc.core.integrity.epoch_tests.pair_outliers import unordered
 from gcs_coloc.core.integrity.protection_level import (
     Exposure,
     FaultLevel,
     ProtectionSettings,
     fault_level,
+    is_tested,
     protection_level,
 )
 from gcs_coloc.core.integrity.range_consistency import RangeConsistency
 from gcs_coloc.core.integrity.range_residuals import TrackPoint
 from gcs_coloc.core.integrity.reacquisition import ReacquisitionMonitor
 from gcs_coloc.core.integrity.report import IntegrityReport, ReviewedVehicle
-from gcs_coloc.core.integrity.solution_separation import SolutionSeparation, range_excess_m2
+from gcs_coloc.core.integrity.solution_separation import FaultClass, SolutionSeparation, range_excess_m2
 from gcs_coloc.core.measurements import (
     Estimate,
     NoEstimate,
@@ -136,13 +138,13 @@ class IntegrityMonitor:
         located = [(vehicle.sysid, vehicle.estimate) for vehicle in vehicles if vehicle.estimate is not None]
         separation = SolutionSeparation(epoch) if located and epoch.residuals else None
         levels: dict[int, FaultLevel] = {}
-        also = self._consistency.also
+        also, unisolated = self._consistency.also, self._consistency.unisolated.ranges
         unlocated = [v.sysid for v in vehicles if v.estimate is None and v.gps_state in DISTRUSTED and not v.is_witness]
         untested_until_s = dict.fromkeys(unlocated, now_s + _TESTED_WITHIN_S)
         for sysid, where in located:
             ranged_at_s = self._consistency.residuals.ranged_at_s(sysid)
             if separation is not None and ranged_at_s is not None and sysid in separation.vehicles:
-                levels[sysid] = fault_level(separation.of(sysid), where, ranged_at_s, self._protection, also)
+                levels[sysid] = fault_level(separation.of(sysid), where, ranged_at_s, self._protection, also, unisolated)
             elif where.ranges_in_use > 0 and now_s < (until_s := self._untested_until_s.get(sysid, now_s)):
                 untested_until_s[sysid] = until_s
             else:
@@ -150,6 +152,8 @@ class IntegrityMonitor:
                 beginning = FaultLevel(0.0, horizontal_sigma_m(where.protected_covariance), now_s, ())
                 levels[sysid] = self._fault_levels.get(sysid, beginning)
         self._fault_levels, self._untested_until_s = levels, untested_until_s
+        if unisolated:
+            self._consistency.unisolated.clear(_tested_ranges(epoch) if epoch.residuals else (), now_s)
 
     def _place_by_estimate(self, vehicle: ReviewedVehicle, now_s: float) -> None:
         """Let a vehicle take part where the estimator has it, without a prior; not at all without an estimate."""
@@ -169,3 +173,12 @@ class IntegrityMonitor:
             elif sysid in detected:
                 faults[sysid] = PositionFault(FaultReason.NOT_ISOLATED, others=tuple(sorted(detected - {sysid})))
         return faults
+
+
+def _tested_ranges(epoch: Epoch) -> set[tuple[int, ...]]:
+    """Return the pairs and devices (one vehicle) whose ranges an epoch tests."""
+    separation = SolutionSeparation(epoch)
+    hypotheses = (each for vehicle in separation.vehicles for each in separation.of(vehicle) if each.fault is FaultClass.RANGES)
+    ranged: set[tuple[int, ...]] = {unordered(pair) for pair in epoch.arrays.pairs}
+    ranged |= {(vehicle,) for pair in ranged for vehicle in pair}
+    return ranged - {each.vehicles for each in hypotheses if not is_tested(each)}

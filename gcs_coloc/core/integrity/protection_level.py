@@ -12,7 +12,7 @@ technical subgroup, reference airborne algorithm.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from math import hypot, inf, log, sqrt
 
@@ -109,29 +109,38 @@ def radius_at_risk(probability: float) -> float:
     return sqrt(-2.0 * log(min(probability, 1.0)))
 
 
+def is_tested(hypothesis: Separation) -> bool:
+    """Return whether ranges test a hypothesis: the position is known without what it holds to be wrong."""
+    return hypothesis.sigma_m <= _MOST_TESTED_SIGMA_M
+
+
 def fault_level(
     hypotheses: Sequence[Separation],
     estimate: Estimate,
     ranged_at_s: float,
     settings: ProtectionSettings,
     also: Mapping[frozenset[int], float] | None = None,
+    unisolated: Collection[tuple[int, ...]] = (),
 ) -> FaultLevel:
     """Return the level of all hypotheses, as far as the ranges test them.
 
     `also`: a fault was found and not isolated; these receivers, which are in use, may be off as well or instead, with the
-    probability of it at most.
+    probability of it at most. `unisolated`: the ranges of one of these pairs or devices are off, and it is open which.
     """
     untested = {
         each.vehicles[0]
         for each in hypotheses
-        if each.fault is FaultClass.RECEIVERS and len(each.vehicles) == 1 and each.sigma_m > _MOST_TESTED_SIGMA_M
+        if each.fault is FaultClass.RECEIVERS and len(each.vehicles) == 1 and not is_tested(each)
     }
-    level_m = _level_m(hypotheses, settings, also)
+    level_m = _level_m(hypotheses, settings, also, unisolated)
     return FaultLevel(level_m, horizontal_sigma_m(estimate.protected_covariance), ranged_at_s, tuple(sorted(untested)))
 
 
 def _level_m(
-    hypotheses: Sequence[Separation], settings: ProtectionSettings, also: Mapping[frozenset[int], float] | None
+    hypotheses: Sequence[Separation],
+    settings: ProtectionSettings,
+    also: Mapping[frozenset[int], float] | None,
+    unisolated: Collection[tuple[int, ...]],
 ) -> float:
     """Return the level that the error exceeds with the risk of all hypotheses together, in m.
 
@@ -141,7 +150,7 @@ def _level_m(
     Source: the HPL equation of the reference algorithm, with the Rayleigh distribution as the Gaussian's tail. A hypothesis
     whose separation is beyond the level counts in full. One whose solution is coarser than the most that is tested is scaled to
     that, its separation with it: a level neither falls as a test becomes worse, nor grows without end where there is none.
-    Beside a fault that is there nothing is assumed away: with `also` all count as they are.
+    Beside a fault that is there nothing is assumed away: with `also` all count as they are, and so do the unisolated.
     """
     risk = (1.0 - _NOMINAL_SHARE) * settings.integrity_risk_per_h
     exposed = max(_LASTS_S / settings.independent_s, 1.0)
@@ -149,10 +158,12 @@ def _level_m(
     if also is not None:
         odds = [also.get(frozenset(h.vehicles), 0.0) if h.fault is FaultClass.RECEIVERS else 0.0 for h in hypotheses]
         p = np.maximum(p, odds)
+    is_unisolated = np.array([each.fault is FaultClass.RANGES and each.vehicles in unisolated for each in hypotheses])
+    p = np.where(is_unisolated, 1.0, p)
     if p.sum() <= risk:
         return 0.0
     solution_sigmas_m = np.array([each.sigma_m for each in hypotheses])
-    most_m = _MOST_TESTED_SIGMA_M if also is None else inf
+    most_m = np.where(is_unisolated | (also is not None), inf, _MOST_TESTED_SIGMA_M)
     share = np.minimum(most_m / np.maximum(solution_sigmas_m, 1e-9), 1.0)
     separations_m = share * np.array([each.separation_m for each in hypotheses])
     sigmas_m = np.hypot(share * solution_sigmas_m, settings.common_gnss_sigma_m)

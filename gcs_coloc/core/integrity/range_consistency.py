@@ -27,6 +27,7 @@ from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel
 from gcs_coloc.core.integrity.fault_monitor import FaultMonitor
 from gcs_coloc.core.integrity.range_residuals import WAIT_S, WINDOW_S, RangeResidualBuffer
 from gcs_coloc.core.integrity.solution_separation import noise_excess_m2
+from gcs_coloc.core.integrity.unisolated_ranges import UnisolatedRanges
 from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.core.schedule import SAME_S
 from gcs_coloc.core.stations.node_id import is_station
@@ -88,6 +89,7 @@ class RangeConsistency:
     `residuals` is the buffer that positions and ranges are added to. `epoch` is the newest epoch, with the pairs that are ranged
     seldom, `stated_epoch` that with its noise as stated. `separation_m2` has, for each vehicle without prior, the second moment
     (2, 2) of its solution separation, m^2. `noise` is how much worse ranges and positions were found to be than they state.
+    `unisolated` has the ranges that may be off while it is open which.
     """
 
     def __init__(self) -> None:
@@ -96,6 +98,7 @@ class RangeConsistency:
         self.stated_epoch = self.epoch = Epoch(float("-inf"), {}, ())
         self.separation_m2: dict[int, FloatArray] = {}
         self.noise = NoiseModel()
+        self.unisolated = UnisolatedRanges()
         self._nodes: defaultdict[int, _Node] = defaultdict(_Node)
         self._detection = Detection()
         self._epochs = EpochHistory()
@@ -125,6 +128,7 @@ class RangeConsistency:
         """Forget a vehicle that makes room for another one; a detection lapses by itself."""
         self.residuals.drop(vehicle)
         self._nodes.pop(vehicle, None)
+        self.unisolated.forget(vehicle)
 
     def readmit(self, right: Collection[int], now_s: float) -> None:
         """Readmit the identified nodes whose receiver is right now; a station only once it was for a while."""
@@ -146,14 +150,15 @@ class RangeConsistency:
         whole, left = self.residuals.epoch(now_s, self.detected), self.noise.after(PERIOD_S)
         tests = self._test(whole, left)
         self.noise = self._find_noise(whole, tests.results.get(0.0), left, now_s, doubtful)
+        self.unisolated.add(self.noise, now_s)
         stated = self.noise.select(whole)
         self._run_fault_monitor(stated, now_s)
         tests = tests if self.noise is left else self._test(stated, self.noise)
         self._update_faults(tests, now_s, doubtful)
         not_used = self.detected.union(not_used)
-        used = stated.without_priors(not_used)
+        used = (self.noise.expose(whole) if self.noise.unisolated else stated).without_priors(not_used)
         self._update_decayed(self._test(used, self.noise, not_used) if used is not stated else tests, now_s)
-        self.stated_epoch = self.noise.select(self.residuals.sparse_epoch(now_s, whole)).without_priors(not_used)
+        self.stated_epoch = self.noise.expose(self.residuals.sparse_epoch(now_s, whole)).without_priors(not_used)
         self.epoch = self.noise.apply(self.stated_epoch)
         self._epochs.append(stated)
         self._update_separation(now_s)
@@ -172,7 +177,7 @@ class RangeConsistency:
         self, whole: Epoch, present: FaultTestResult | None, left: NoiseModel, now_s: float, doubtful: Collection[int]
     ) -> NoiseModel:
         """Return what is `left` of the noise, changed where the epoch and its test alone (`present`) show it."""
-        noise = explain_inconsistency(whole, present, left, doubtful)
+        noise = explain_inconsistency(whole, present, left, doubtful, self.unisolated.known(now_s))
         if noise.pairs_off:
             self._pairs_fail_until_s = now_s + _PAIRS_FAIL_FOR_S
         smaller = self._smaller_noise.update(noise.select(whole), noise, now_s)

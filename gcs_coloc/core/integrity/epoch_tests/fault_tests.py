@@ -95,6 +95,8 @@ def run_test(fit: Adjustment) -> FaultTestResult | None:
     weight = max((_separation_weight(gain, rank) for gain, rank in gains), default=0.0)
     rejected = [v for v, (gain, rank) in zip(reporting, gains, strict=False) if rank and gain > chi2_limit(rank, alpha)]
     alarm = fit.statistic > chi2_limit(dof, alpha) or bool(rejected)
+    if alarm:
+        weight = 1.0  # of ranges, where no position explains it
     effects = [fit.position_effect(v) for v in reporting] + _range_effects(fit) if weight else []
     best = max((effect.gain for effect in effects if effect.rank), default=0.0)
     plausible = [effect for effect in effects if effect.rank and effect.gain >= best - RULED_OUT_MARGIN]

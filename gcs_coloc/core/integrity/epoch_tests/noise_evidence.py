@@ -28,7 +28,7 @@ from gcs_coloc.core.integrity.epoch_tests.noise_model import (
     likeliest_noise,
     restricted_likelihood,
 )
-from gcs_coloc.core.integrity.epoch_tests.pair_outliers import pair_outliers
+from gcs_coloc.core.integrity.epoch_tests.pair_outliers import Pair, pair_outliers
 from gcs_coloc.core.schedule import SAME_S
 
 _PRESENT: Past = (None, 0.0)
@@ -43,12 +43,13 @@ _LEAST_LOG_ODDS = 2.0 * _FIRST_LOG_ODDS
 
 
 def explain_inconsistency(
-    whole: Epoch, result: FaultTestResult | None, noise: NoiseModel, doubtful: Collection[int]
+    whole: Epoch, result: FaultTestResult | None, noise: NoiseModel, doubtful: Collection[int], known: Collection[Pair] = ()
 ) -> NoiseModel:
     """Return the noise with which an epoch is consistent, or `noise` if that is not clearly likelier.
 
     `whole` is the epoch with its noise as stated. `result` is that of the epoch's test alone, with `noise`; None where there is
-    no redundancy. `doubtful` are the vehicles whose receivers speak against themselves.
+    no redundancy. `doubtful` are the vehicles whose receivers speak against themselves, `known` the pairs that were isolated just
+    before.
 
     A fault that is nearly as likely is not ruled out, so the tests over time go on. Two receivers that are off, each its own
     way, contradict all others as noise does, and enlarged noise would hide them.
@@ -60,13 +61,13 @@ def explain_inconsistency(
     of_device = noise.with_device_error(fault.device_m) if fault.device_m else None
     if of_device is not None:
         return of_device
-    pairs, more = pair_outliers(epoch), likeliest_noise(whole, noise)
+    pairs, more = pair_outliers(epoch, known), likeliest_noise(whole, noise)
     clearly_below = fault.cost - RULED_OUT_MARGIN
     if pairs is not None and (more is None or pairs.cost <= more.cost) and (pairs.cost < clearly_below or fault.is_of_one_pair):
-        return replace(noise, pairs_off=pairs.pairs)
-    if more is None or more.cost >= clearly_below:
-        return noise
-    return more.model if more.cost < cost_of_two_receivers(epoch, _PRESENT, fault.candidates) else noise
+        return replace(noise, pairs_off=pairs.pairs, unisolated=pairs.unisolated)
+    if more is not None and more.cost < min(clearly_below, cost_of_two_receivers(epoch, _PRESENT, fault.candidates)):
+        return more.model
+    return replace(noise, unisolated=frozenset(each.vehicles for each in fault.plausible)) if fault.is_range_fault else noise
 
 
 @dataclass(slots=True)

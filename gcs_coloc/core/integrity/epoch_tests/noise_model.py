@@ -53,7 +53,8 @@ class NoiseModel:
 
     `range_bias_m` is the lasting error of each pair's ranges. `device_bias_m` is that of the devices, `device_scale` the same
     as a share of the range. `height_sigma_m` is the least 1-sigma of heights, `position_factor` the factor on the sigmas of
-    reported positions. `pairs_off` are the pairs whose ranges are off at the moment.
+    reported positions. `pairs_off` are the pairs whose ranges are off at the moment. `unisolated` are pairs and devices
+    (one vehicle) of which the ranges of some are off, and it is open which.
     """
 
     range_bias_m: float = 0.0
@@ -62,6 +63,7 @@ class NoiseModel:
     height_sigma_m: float = 0.0
     position_factor: float = 1.0
     pairs_off: frozenset[Pair] = frozenset()
+    unisolated: frozenset[tuple[int, ...]] = frozenset()
 
     @property
     def is_as_stated(self) -> bool:
@@ -81,9 +83,18 @@ class NoiseModel:
         )
         return ", ".join(filter(None, parts))
 
+    @property
+    def isolated_pairs(self) -> frozenset[Pair]:
+        """The pairs that are off, and no other ones instead."""
+        return self.pairs_off - self.unisolated
+
     def select(self, epoch: Epoch) -> Epoch:
-        """Return the epoch without the pairs that are off."""
+        """Return the epoch without the pairs that are off, which is consistent."""
         return without_pairs(epoch, self.pairs_off)
+
+    def expose(self, epoch: Epoch) -> Epoch:
+        """Return the epoch without the isolated pairs: bound and level show what others may have done."""
+        return without_pairs(epoch, self.isolated_pairs)
 
     def apply(self, epoch: Epoch) -> Epoch:
         """Return the epoch with this noise."""
@@ -233,7 +244,7 @@ def clearly_smaller_noise(epoch: Epoch, present: NoiseModel) -> NoiseModel | Non
         likelihood = restricted_likelihood(model.apply(replace(epoch, residuals=coarse)))
         cost = likelihood.cost + FURTHER_PAIR_PENALTY * len(outliers.pairs)
         if cost < limit:
-            found.append(LikeliestNoise(replace(model, pairs_off=outliers.pairs), cost))
+            found.append(LikeliestNoise(replace(model, pairs_off=outliers.pairs, unisolated=outliers.unisolated), cost))
     return min(found, key=lambda each: each.cost).model if found else None
 
 

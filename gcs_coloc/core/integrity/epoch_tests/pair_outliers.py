@@ -20,7 +20,7 @@ from math import inf
 from typing import NamedTuple
 
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, Past
-from gcs_coloc.core.integrity.epoch_tests.fault_tests import REST_LEVEL, adjust, chi2_limit
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import REST_LEVEL, RULED_OUT_MARGIN, Adjustment, adjust, chi2_limit
 
 FURTHER_PAIR_PENALTY = 9.2  # twice the log of 100: chosen, so much rarer is each further pair that is off at the same time
 
@@ -31,11 +31,13 @@ Pair = tuple[int, int]
 class PairOutliers(NamedTuple):
     """Pairs whose ranges are off at once, and the cost of that explanation.
 
-    `cost` is twice the negative log likelihood, comparable with the costs of `isolation`.
+    `cost` is twice the negative log likelihood, comparable with the costs of `isolation`. `unisolated` are those of them instead
+    of which another pair may be off as well, and that one: the rest has no redundancy that tells these apart.
     """
 
     pairs: frozenset[Pair]
     cost: float
+    unisolated: frozenset[Pair]
 
 
 def without_pairs(epoch: Epoch, pairs: Collection[Pair]) -> Epoch:
@@ -45,27 +47,42 @@ def without_pairs(epoch: Epoch, pairs: Collection[Pair]) -> Epoch:
     return replace(epoch, residuals=tuple(r for r in epoch.residuals if unordered(r.pair) not in pairs))
 
 
-def pair_outliers(epoch: Epoch) -> PairOutliers | None:
+def pair_outliers(epoch: Epoch, known: Collection[Pair] = ()) -> PairOutliers | None:
     """Return the pairs without which an epoch is consistent; None where there is no such set.
 
-    Fewer than half of the pairs may be left out, and the rest must keep redundancy.
+    Fewer than half of the pairs may be left out, and the rest must keep redundancy. `known` pairs were isolated just before:
+    where another one may be off instead, they go on to be.
     """
     off: set[Pair] = set()
     pairs = {unordered(residual.pair) for residual in epoch.residuals}
     while True:
-        rest = without_pairs(epoch, off)
-        fit = adjust(rest, [(None, 0.0)])[0]
+        fit = adjust(without_pairs(epoch, off), [(None, 0.0)])[0]
         if fit.degrees_of_freedom < 1:
             return None
         if fit.statistic <= chi2_limit(fit.degrees_of_freedom, REST_LEVEL):
-            return PairOutliers(frozenset(off), fit.statistic + FURTHER_PAIR_PENALTY * max(len(off) - 1, 0))
+            cost = fit.statistic + FURTHER_PAIR_PENALTY * max(len(off) - 1, 0)
+            unisolated = (_alternatives(epoch, off, pair) for pair in off.difference(known))
+            return PairOutliers(frozenset(off), cost, frozenset().union(*unisolated))
         if 2 * (len(off) + 1) >= len(pairs):
             return None
-        rows: dict[Pair, list[int]] = {}
-        for number, residual in enumerate(fit.residuals):
-            rows.setdefault(unordered(residual.pair), []).append(number)
-        gains = {pair: fit.range_effect(numbers).gain for pair, numbers in sorted(rows.items())}
-        off.add(max(gains, key=lambda pair: gains[pair]))
+        gains = _gains(fit)
+        least = max(gains.values()) - RULED_OUT_MARGIN
+        off.add(max(gains, key=lambda pair: (pair in known and gains[pair] > least, gains[pair])))
+
+
+def _alternatives(epoch: Epoch, off: set[Pair], pair: Pair) -> frozenset[Pair]:
+    """Return a pair that is left out with those that may be off instead; none where it is isolated."""
+    gains = _gains(adjust(without_pairs(epoch, off - {pair}), [(None, 0.0)])[0])
+    instead = {other for other, gain in gains.items() if gain > gains[pair] - RULED_OUT_MARGIN}
+    return frozenset(instead) if len(instead) > 1 else frozenset()
+
+
+def _gains(fit: Adjustment) -> dict[Pair, float]:
+    """Return by how much the statistic of a fit falls without each pair."""
+    rows: dict[Pair, list[int]] = {}
+    for number, residual in enumerate(fit.residuals):
+        rows.setdefault(unordered(residual.pair), []).append(number)
+    return {pair: fit.range_effect(numbers).gain for pair, numbers in sorted(rows.items())}
 
 
 def cost_of_two_pairs(now: Epoch, past: Past, vehicle: int) -> float:

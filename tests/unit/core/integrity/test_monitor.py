@@ -2,9 +2,11 @@
 
 from dataclasses import dataclass, replace
 from functools import cache
-from math import inf
+from itertools import combinations
+from math import dist, inf
 
 import numpy as np
+from scipy.optimize import fsolve
 
 from bench.integrity import walk
 from bench.integrity_flights import (
@@ -201,3 +203,39 @@ def test_what_ranges_alone_have_begun_is_not_stated_before_they_were_tested():
     # The ranges from before it was found test it, two reviews later.
     assert isinstance(stated[1.6], Estimate)
     assert last.protection.horizontal_m > 12.0
+
+
+def test_where_it_is_open_which_pair_is_off_the_level_counts_each_of_them():
+    """As in a recorded flight of two lost ArduPlanes whose ranges to each other are 25 m too long.
+
+    The filter follows them, and refuses those to the first peer: 44 m off, the level was 24 m.
+    """
+    places_m = {1: (-160.0, -273.0, 0.0), 2: (-28.0, -1349.0, 56.0), 3: (-688.0, -1213.0, 91.0), 4: (-707.0, -551.0, 16.0)}
+    ranges_m = {(a, b): dist(places_m[a], places_m[b]) + 25.0 * ((a, b) == (3, 4)) for a, b in combinations(places_m, 2)}
+
+    def residuals_m(east_north):
+        return [dist((*east_north, 16.0), places_m[peer]) - ranges_m[peer, 4] for peer in (2, 3)]
+
+    followed_m = {3: places_m[3], 4: (*fsolve(residuals_m, places_m[4][:2]).tolist(), 16.0)}
+    error_m = dist(followed_m[4], places_m[4])
+    assert error_m > 30.0
+    monitor, frame = IntegrityMonitor(), LocalFrame(47.0, 8.0, 500.0)
+    sound = [ReviewedVehicle(v, GpsState.HEALTHY, is_trusted=True, is_witness=True, is_automatic=True) for v in (1, 2)]
+    covariance = np.diag([1.0, 1.0, 4.0, 0.3, 0.3, 0.3])
+    for step in range(1, 40):
+        t = 0.2 * step
+        for v in (1, 2):
+            monitor.add_position(PositionMeasurement(v, t, t, places_m[v], 0.8, 2.4, (0.0, 0.0, 0.0), 0.3))
+        for (a, b), range_m in ranges_m.items():
+            monitor.add_range(RangeMeasurement(a, b, t - 0.01, t, range_m, 0.5))
+        found = {v: Estimate(v, t, np.array(at), np.zeros(3), covariance, 1.2, 2) for v, at in followed_m.items()}
+        lost = [
+            ReviewedVehicle(v, GpsState.FAILED, is_trusted=False, is_witness=False, is_automatic=True, estimate=found[v])
+            for v in found
+        ]
+        report = monitor.review(t + 0.05, [*sound, *lost], frame)
+        if t > 3.0:
+            stated = monitor.protect(report, found[4], Exposure(delay_is_known=True, shown_until_s=None))
+            assert not report.faults
+            assert horizontal_bound_95_m(stated.covariance) > error_m
+            assert stated.protection.horizontal_m > AidingSettings().alert_limit_m

@@ -139,6 +139,17 @@ def test_a_sound_fleet_is_as_stated():
         assert explained(seed) == NoiseModel()
 
 
+def test_a_pair_is_isolated_only_where_the_others_have_the_redundancy_for_it():
+    """Vehicle 1 of four has no position of its own: its three ranges contradict each other, no other one tells which is off."""
+    for seed in SEEDS:
+        whole = pair_outliers(epoch(np.random.default_rng(seed), off={(1, 3)}))
+        assert (whole.pairs, whole.unisolated) == ({(1, 3)}, set())
+        few = epoch(np.random.default_rng(seed), off={(1, 3)}, vehicles=4).without_priors({1})
+        found, known = pair_outliers(few), pair_outliers(few, {(1, 3)})
+        assert found.unisolated == {(1, 2), (1, 3), (1, 4)}
+        assert (known.pairs, known.unisolated) == ({(1, 3)}, set())
+
+
 def test_more_than_half_of_the_pairs_are_never_left_out():
     off = {(i, j) for i in range(1, 5) for j in range(i + 1, 6)}
     assert pair_outliers(epoch(np.random.default_rng(1), off=off)) is None
