@@ -3,8 +3,8 @@
 from gcs_coloc.core.clocks.fleet_clocks import FleetClocks
 from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
 from gcs_coloc.core.geodesy import LocalFrame
-from gcs_coloc.core.measurements import Measurement, RangeMeasurement
-from gcs_coloc.core.messages.inbound import GlobalPosition, GpsReceiver, PeerRange, TimeBase
+from gcs_coloc.core.measurements import AttitudeMeasurement, Measurement, RangeMeasurement
+from gcs_coloc.core.messages.inbound import Attitude, GlobalPosition, GpsReceiver, PeerRange, TimeBase
 from gcs_coloc.core.telemetry.measurement_builder import MeasurementBuilder
 from gcs_coloc.core.telemetry.measurement_settings import MeasurementSettings
 from gcs_coloc.core.telemetry.reported_state import ReportedState
@@ -27,6 +27,12 @@ class Builder(MeasurementBuilder):
 
     def measure_range(self, message: PeerRange, record: ReportedState, peer: ReportedState) -> RangeMeasurement | None:
         return self.range(message, record, peer).measurement
+
+    def measure_attitude(self, message: Attitude, record: ReportedState) -> AttitudeMeasurement | None:
+        """As the dispatch does: the reported state holds the message already."""
+        if not record.repeated_attitudes.add(message):
+            record.attitude = message
+        return self.attitude(message, record)
 
 
 def vehicle(sysid: int = 4) -> ReportedState:

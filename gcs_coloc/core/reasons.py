@@ -68,6 +68,9 @@ class CoreRefusal(StrEnum):
     TIMESYNC_BEFORE_BOOT_TIME = "timesync_before_boot_time"
     """The vehicle has sent no boot time yet."""
 
+    ATTITUDE_REPEATED = "attitude_repeated"
+    """The attitude is the one before, to the last bit."""
+
     # Ranges
     RANGE_PEER_UNKNOWN = "range_peer_unknown"
     """The other end is no vehicle of the fleet."""

@@ -151,9 +151,13 @@ class MeasurementBuilder:
         """Build an attitude with the newest true airspeed, if that is fresh and the vehicle flies on wings.
 
         A multirotor flies to any side, and banks to do so without turning: its airspeed says nothing of its course.
+        None where it only repeats the one before, or its stamp is refused.
         """
         measured = self._clocks.stamp(message)
         if measured is None:
+            return None
+        if vehicle.attitude is not message:
+            self.refused[CoreRefusal.ATTITUDE_REPEATED] += 1
             return None
         air = vehicle.airspeed
         fresh = vehicle.winged and air is not None and message.received_at_s - air.received_at_s <= _AIRSPEED_FRESH_S

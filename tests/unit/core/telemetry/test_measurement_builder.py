@@ -78,14 +78,14 @@ def test_airspeed_goes_with_the_attitude_only_while_it_is_fresh():
     record = vehicle()
     record.winged = True
     record.airspeed = Airspeed(4, 10.0, 22.0)
-    fresh = feed.attitude(Attitude(4, 10.9, 10.9, 0.1, 0.2, 0.3), record)
-    stale = feed.attitude(Attitude(4, 11.1, 11.1, 0.1, 0.2, 0.3), record)
+    fresh = feed.measure_attitude(Attitude(4, 10.9, 10.9, 0.1, 0.2, 0.3), record)
+    stale = feed.measure_attitude(Attitude(4, 11.1, 11.1, 0.1, 0.2, 0.3), record)
     assert fresh is not None
     assert stale is not None
     assert (fresh.airspeed_mps, stale.airspeed_mps) == (22.0, None)
     assert feed.attitude_at_s(4) == fresh.measured_at_s
     record.airspeed = Airspeed(4, 11.5, 22.0)
-    feed.attitude(Attitude(4, 11.6, 11.2, 0.1, 0.2, 0.3), record)
+    feed.measure_attitude(Attitude(4, 11.6, 11.2, 0.1, 0.2, 0.3), record)
     assert feed.attitude_at_s(4) == pytest.approx(11.2, abs=0.05)  # it was under way for 0.4 s
     assert (fresh.roll_rad, fresh.pitch_rad, fresh.yaw_rad) == (0.1, 0.2, 0.3)
 
@@ -107,7 +107,7 @@ def test_airspeed_is_the_true_one_at_the_vehicles_altitude_and_only_where_it_fli
     """At 3000 m a plane that tells 22 m/s moves at 25.5; a multirotor may do so to any side."""
     feed, record = Builder(), vehicle()
     record.winged, record.airspeed, record.position = winged, Airspeed(4, 10.0, 22.0), position(10.0, alt_m=3000.0)
-    measurement = feed.attitude(Attitude(4, 10.1, 10.1, 0.1, 0.2, 0.3), record)
+    measurement = feed.measure_attitude(Attitude(4, 10.1, 10.1, 0.1, 0.2, 0.3), record)
     assert measurement is not None
     assert measurement.airspeed_mps == airspeed_mps
 
