@@ -164,6 +164,8 @@ class FlightClass:
     device_ramp_mps: Span = (0.0, 0.0)
     pitot_fails: bool = False
     """Whether the denied vehicle's pitot tube reads wrong from some time on."""
+    attitude_freezes: bool = False
+    """Whether the denied vehicle repeats its last attitude while all ranges are silent."""
     height_jump_m: Span = (0.0, 0.0)
     """By how much the denied vehicle's barometer jumps, up or down; half of them jump back after 5 to 30 s."""
 
@@ -257,6 +259,8 @@ _ALL = (
                pitot_fails=True, silence_s=(5.0, 20.0)),
     _imperfect("pitot-steep", "the same with three peers, planes bank by 55 to 65 degrees, no silence", pitot_fails=True,
                bank_deg=(55.0, 65.0), peers=(3, 3), is_mutual=False),
+    _imperfect("frozen-attitude", "all ranges cease for 5 to 20 s, in turns, and the denied vehicle repeats its last attitude",
+               attitude_freezes=True, silence_s=(5.0, 20.0), bank_deg=(35.0, 50.0)),
     _imperfect("barometer", "the denied vehicle's barometer jumps by 5 to 60 m", height_jump_m=(5.0, 60.0)),
     _fault("flicker", "jammed: the denied vehicle's fix comes back for seconds, up to 60 m off", flickers=True),
     _fault("spoofed-step", "one peer's receiver steps by 30 to 300 m", spoofing=_STEP),

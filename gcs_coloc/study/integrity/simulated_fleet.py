@@ -110,6 +110,8 @@ class SimulatedFleet:
         self._set_back_s = 0.0
         self._draw_faults()
         self._silences = self._draw_silences()
+        if drawn.attitude_freezes:
+            self._vehicles[self.denied[0]].frozen = self._silences
         self.rebooted = tuple(self._draw_reboots())
         self._pairs = self._draw_pairs()
         self._heap: list[tuple[float, int, Callable[[float], None] | Inbound]] = []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import inf
 
 import numpy as np
@@ -24,7 +24,16 @@ from gcs_coloc.core.messages.inbound import (
 from gcs_coloc.core.messages.outbound import GpsInput
 from gcs_coloc.study.integrity.flight_classes import FlightClass
 from gcs_coloc.study.integrity.motion import Trajectory
-from gcs_coloc.study.integrity.sensor_errors import BarometerJump, Fault, LinkErrors, PitotFailure, ReceiverErrors, scaled
+from gcs_coloc.study.integrity.sensor_errors import (
+    BarometerJump,
+    Fault,
+    Intervals,
+    LinkErrors,
+    PitotFailure,
+    ReceiverErrors,
+    is_within,
+    scaled,
+)
 from sitl_fakes.geodesy import WorldFrame
 
 UNIX_EPOCH_S = 1_780_000_000.0  # any; in 2026
@@ -43,7 +52,7 @@ _NOWHERE: Vector3 = (0.0, 0.0, 0.0)
 class SimulatedVehicle:
     """One vehicle: its motion and errors, faults, and the last fix that it was sent (when, ENU m, m/s).
 
-    `frame`: that of its motion. `drawn`: the class that it is drawn from.
+    `frame`: that of its motion. `drawn`: the class that it is drawn from. While `frozen` it repeats its last `angles_rad`.
     """
 
     sysid: int
@@ -57,6 +66,8 @@ class SimulatedVehicle:
     fault: Fault | None = None
     pitot_failure: PitotFailure | None = None
     barometer_jump: BarometerJump | None = None
+    frozen: Intervals = field(default_factory=list)
+    angles_rad: Vector3 | None = None
     lost_at_s: float = inf
     flicker: list[tuple[float, float, Vector3]] | None = None
     aid: tuple[float, Vector3, Vector3] | None = None
@@ -163,9 +174,10 @@ class SimulatedVehicle:
     def attitude_messages(self, at_s: float) -> list[Inbound]:
         """Build its attitude."""
         arrival_s = self.arrival_s(at_s)
-        roll, pitch, yaw = _plus(self.course.attitude(at_s), scaled(0.015, self._white()))
-        yaw += self.receiver.heading_rad
-        return [Attitude(self.sysid, arrival_s, self.link.boot_s(at_s), roll, pitch, yaw)]
+        if self.angles_rad is None or not is_within(self.frozen, at_s):
+            roll, pitch, yaw = _plus(self.course.attitude(at_s), scaled(0.015, self._white()))
+            self.angles_rad = roll, pitch, yaw + self.receiver.heading_rad
+        return [Attitude(self.sysid, arrival_s, self.link.boot_s(at_s), *self.angles_rad)]
 
     def airspeed_messages(self, at_s: float) -> list[Inbound]:
         """Build its airspeed; nothing of a vehicle without wings."""

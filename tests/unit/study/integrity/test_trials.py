@@ -40,6 +40,13 @@ def test_where_all_sensors_are_worse_than_they_state_nobody_is_failed_and_the_ve
     assert score.fix_s > 0.9 * score.under_aid_s > 0.0
 
 
+def test_an_attitude_that_is_only_repeated_lets_no_position_run_away_while_no_range_comes():
+    """Taken for a fresh one it was 132 m off at a protection level of 40 m."""
+    score = fly_trial("frozen-attitude", 3, duration_s=82.0)
+    assert score.events == []
+    assert score.fix_s > 0.6 * score.under_aid_s > 0.0
+
+
 class Displaced:
     """An estimator that is sure of a place 80 m east of the right one."""
 
