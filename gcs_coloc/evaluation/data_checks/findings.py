@@ -55,6 +55,9 @@ class FindingKind(StrEnum):
     VELOCITY_RESIDUAL = "velocity_residual"
 
 
+CALIBRATE = " (gcs-coloc calibrate estimates it)"
+"""The remedy for ranges of devices that are off."""
+
 _WORDING = {
     FindingKind.DROPPED_ROWS: "{value} of {rows} rows of {who} are wrong and left out: {first}",
     FindingKind.NO_OVERLAP: "only {value:.1%} of the {who} ({span}) fall into the time of the ranges ({range_span}): "
@@ -67,11 +70,12 @@ _WORDING = {
     FindingKind.TIME_OFFSET: "the clock of {of} is {offset} that of {than} ({before_m:.3g} m of residual in the median, "
     "{after_m:.3g} m with the offset removed)",
     FindingKind.RANGE_FACTOR: "{who} are {value:.4g} times the distances between the positions{question}",
-    FindingKind.RANGE_BIAS: "{who} are {value:+.4g} m off the distances between the positions throughout",
+    FindingKind.RANGE_BIAS: "{who} are {value:+.4g} m off the distances between the positions throughout"
+    f"{CALIBRATE}",
     FindingKind.RANGE_RESIDUAL: "{who} differ from the distances between the positions by {value:.3g} m in the median, where "
     "{sigma_m:.3g} m are stated",
     FindingKind.RANGE_MEAN: "{who} are {value:+.2f} m off in the mean ({span}), where {sigma_m:.3f} m are left by chance: a bias "
-    "that more ranges do not average away (gcs-coloc calibrate estimates it)",
+    f"that more ranges do not average away{CALIBRATE}",
     FindingKind.POSITION_AXES: "{who} fit if {axes} in the {of} ({before_m:.3g} m of residual in the median, "
     "{after_m:.3g} m then)",
     FindingKind.TRUTH_FACTOR: "the truth of {who} is {value:.4g} times the reported positions{question}",

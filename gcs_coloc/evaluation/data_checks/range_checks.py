@@ -12,6 +12,7 @@ import numpy as np
 
 from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.evaluation.data_checks.findings import (
+    CALIBRATE,
     DataFinding,
     Explanation,
     FindingKind,
@@ -182,12 +183,14 @@ def range_pairs(data: RecordedData, *, trust_truth: bool) -> Iterator[RangePair]
 class _Attribution:
     """To what a residual is attributed: the suspect ranges, and the one vehicle that they all share.
 
-    The ranges are in words. That vehicle, if there is one, has no range that is not suspect.
+    The ranges are in words. That vehicle, if there is one, has no range that is not suspect. `positions_fit`: each vehicle has
+    other ranges, which fit its positions.
     """
 
     ranges: str
     vehicle: int | None = None
     name: str = ""
+    positions_fit: bool = False
 
 
 def _attribute(suspect: list[RangePair], pairs: list[RangePair], names: Mapping[int, str]) -> _Attribution:
@@ -199,7 +202,8 @@ def _attribute(suspect: list[RangePair], pairs: list[RangePair], names: Mapping[
         vehicle = shared.pop()
         return _Attribution(f"the ranges to and from {names[vehicle]}", vehicle, names[vehicle])
     named = [f"{names[a]}-{names[b]}" for a, b in (pair.ends for pair in suspect[:_MOST_PAIRS_NAMED])]
-    return _Attribution(f"the ranges {', '.join(named)}{', ...' if len(suspect) > _MOST_PAIRS_NAMED else ''}")
+    more = ", ..." if len(suspect) > _MOST_PAIRS_NAMED else ""
+    return _Attribution(f"the ranges {', '.join(named)}{more}", positions_fit=not shared)
 
 
 class _RangeSet:
@@ -246,7 +250,10 @@ class _RangeSet:
 
 
 def _explanations(bad: _RangeSet, attributed: _Attribution) -> Iterator[Explanation]:
-    """Yield what may be wrong, simplest first: the unit, the axes, a clock, a bias, a factor of no unit."""
+    """Yield what may be wrong, simplest first: the unit, the axes, a clock, a bias, a factor of no unit.
+
+    Axes and clocks of positions that fit other ranges are right.
+    """
     factor, scaled_m = 0.0, float("inf")
     sound = bad.distances_m > 0.0
     if sound.any() and (factor := float(np.nanmedian(bad.range_m[sound] / bad.distances_m[sound]))) > 0.0:
@@ -275,10 +282,12 @@ def _explanations(bad: _RangeSet, attributed: _Attribution) -> Iterator[Explanat
     if (left_m := median_residual_m(bad.range_m - bias_m - bad.distances_m)) <= _SUSPECT_SIGMAS * bad.sigma_m:
         yield Explanation(left_m, finding(FindingKind.RANGE_BIAS, bias_m, attributed.ranges))
     if scaled_m <= _SUSPECT_SIGMAS * bad.sigma_m:
-        yield Explanation(scaled_m, finding(FindingKind.RANGE_FACTOR, factor, attributed.ranges, question=""))
+        yield Explanation(scaled_m, finding(FindingKind.RANGE_FACTOR, factor, attributed.ranges, question=CALIBRATE))
 
 
 def _position_groups(bad: _RangeSet, attributed: _Attribution) -> Iterator[tuple[str, Mask]]:
+    if attributed.positions_fit:
+        return
     if attributed.vehicle is not None:
         yield f"positions of {attributed.name}", bad.vehicles == attributed.vehicle
         return
@@ -289,7 +298,7 @@ def _position_groups(bad: _RangeSet, attributed: _Attribution) -> Iterator[tuple
 
 def _clocks(bad: _RangeSet, attributed: _Attribution) -> Iterator[tuple[str, Callable[[float], PositionShift]]]:
     """Yield the positions that may have a clock of their own, in words, and how they are shifted."""
-    if not bad.moves.any():
+    if attributed.positions_fit or not bad.moves.any():
         return
     yield "the positions", _shift_all
     if attributed.vehicle is not None:

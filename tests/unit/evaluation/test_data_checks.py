@@ -124,9 +124,9 @@ WRONG = [
     ("ranges in centimetres", ranges(3, lambda r: 100.0 * r), "range_factor", "the ranges in cm?", 100.0),
     ("ranges in feet", ranges(3, lambda r: FOOT * r), "range_factor", "the ranges in ft?", FOOT),
     ("ranges in kilometres", ranges(3, lambda r: 0.001 * r), "range_factor", "the ranges in km?", 0.001),
-    ("a factor of no unit", ranges(3, lambda r: 1.3 * r), "range_factor", "are 1.3 times", 1.3),
+    ("a factor of no unit", ranges(3, lambda r: 1.3 * r), "range_factor", "positions (gcs-coloc calibrate", 1.3),
     ("one device in millimetres", ranges(3, lambda r: 1000.0 * r, 2), "range_factor", "to and from UAV2", 1000.0),
-    ("ranges with a delay in the antennas", ranges(3, lambda r: r + 30.0), "range_bias", "m off the distances", 30.0),
+    ("ranges with a delay in the antennas", ranges(3, lambda r: r + 30.0), "range_bias", "throughout (gcs-coloc calibrate", 30.0),
     ("ranges of two peers exchanged", ranges(2, exchanged), "range_residual", "1-UAV4, UAV2-", None),
     ("ranges stamped early", ranges(0, lambda t: t - 0.3), "time_offset", "0.30 s ahead", 0.3),
     ("ranges by another clock", ranges(0, lambda t: t + 18.0), "time_offset", "18.00 s behind", -18.0),
@@ -177,6 +177,22 @@ def test_a_tenth_of_the_ranges_far_too_long_and_a_small_bias_are_no_other_unit()
     rows = data.ranges.copy()
     rows[:, 3] += 1.0 + np.where(rng.random(len(rows)) < 0.1, rng.uniform(5.0, 200.0, len(rows)), 0.0)
     assert run_checks(replace(data, ranges=rows)) == []
+
+
+def test_a_pair_behind_obstacles_has_no_clock_of_its_own_where_both_ends_fit_their_other_ranges():
+    """The distances of another time may fit them: 8 s later in this case."""
+    truth = fleet(2).truth[DENIED]
+    places = {1: (2500.0, 500.0, 145.0), 2: (700.0, 2500.0, 145.0), 3: (700.0, -1500.0, 145.0)}
+    anchors = {v: PositionTrack(np.zeros(1), np.array([at]), np.full(1, 0.01), is_static=True) for v, at in places.items()}
+    rows = []
+    for tag, anchor, late_s in ((DENIED, 1, 8.0), (DENIED, 2, 0.0), (DENIED, 3, 0.0), (5, 1, 0.0), (5, 2, 0.0)):
+        t = np.arange(1.0, END_S - 10.0, 0.5)
+        distance_m = np.linalg.norm(path(DENIED, t + late_s)[0] - places[anchor], axis=1)
+        rows.append(np.column_stack((t, np.full((len(t), 2), (tag, anchor)), distance_m, np.full(len(t), SIGMA_RANGE_M))))
+    names = {v: f"UAV{v}" for v in range(1, 6)}
+    (found,) = run_checks(RecordedData(names, anchors, {DENIED: truth, 5: truth}, np.vstack(rows)))
+    assert found.kind is FindingKind.RANGE_RESIDUAL
+    assert "UAV1-UAV4 differ" in found.text
 
 
 def test_a_fleet_in_formation_has_no_clock_to_compare_but_a_unit():
