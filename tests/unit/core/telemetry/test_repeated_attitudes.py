@@ -48,9 +48,9 @@ def test_what_only_repeats_is_counted_shows_no_motion_and_is_as_old_as_its_first
     record.winged, record.airspeed = True, Airspeed(4, 4.5, 22.0)
     for attitude in attitudes(50):
         assert feed.measure_attitude(attitude, record) is not None
-    shown_until_s = feed.attitude_at_s[4]
+    shown_until_s = feed.attitude_at_s(4)
     again = at(5.0, (attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad))
     assert feed.measure_attitude(again, record) is None
     assert feed.refused == {CoreRefusal.ATTITUDE_REPEATED: 1}
-    assert feed.attitude_at_s[4] == shown_until_s
+    assert feed.attitude_at_s(4) == shown_until_s
     assert record.attitude is attitude
