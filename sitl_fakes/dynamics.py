@@ -146,7 +146,6 @@ class LateralDerivatives:
     per rad, 1/s per rad/s); the suffix is what they multiply: sideslip, roll rate, yaw rate, aileron, rudder.
     """
 
-    airspeed_mps: float
     y_beta: float
     y_p: float
     y_r: float
@@ -179,7 +178,6 @@ def aerosonde(airspeed_mps: float) -> LateralDerivatives:
         return moment * (g4 * cl + g8 * cn)
 
     return LateralDerivatives(
-        airspeed_mps=airspeed_mps,
         y_beta=force * _CY_BETA,
         y_p=force * _CY_P * per_rate,
         y_r=force * _CY_R * per_rate - 1.0,

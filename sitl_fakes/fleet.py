@@ -22,9 +22,8 @@ from sitl_fakes.geodesy import Vector, WorldFrame
 from sitl_fakes.guidance import Guidance, Route
 from sitl_fakes.scenario import Scenario, ScenarioError, Telemetry
 from sitl_fakes.scenario import Vehicle as VehicleSpec
-from sitl_fakes.sensors import GpsSensor, Purpose, Ranger, stream
+from sitl_fakes.sensors import EPSILON_S, GpsSensor, Purpose, Ranger, stream
 
-_EPSILON_S = 1e-9  # chosen: far below a step, far above rounding
 _HEARTBEAT_S = 1.0  # source: MAVLink's heartbeat protocol
 
 
@@ -110,13 +109,13 @@ class Vehicle:
         controller = self._controller
         active = controller.faults.active(at_s)
         controller.run(active, at_s)
-        if self._gps_due_s <= at_s + _EPSILON_S:
+        if self._gps_due_s <= at_s + EPSILON_S:
             self._gps_due_s += self._gps.interval_s
             fix = self._gps.measure(self._flight.position_m, self._flight.velocity_mps, active, at_s)
             if not controller.booting:
                 controller.autopilot.receive_own_fix(fix, at_s)
         samples = self._ranger.measure(at_s, self.position_m, positions_m, active)
-        received = [payload for _, payload in self._uplink.arrived(at_s + _EPSILON_S)]
+        received = [payload for _, payload in self._uplink.arrived(at_s + EPSILON_S)]
         if controller.booting:
             return
         messages = [reply for payload in received for reply in handle(controller, payload, at_s)]
@@ -124,7 +123,7 @@ class Vehicle:
         messages += controller.streams.due(at_s, controller.snapshot)
         frames = [controller.pack(message) for message in messages]
         frames += [frame for sample in samples if (frame := controller.pack_range(sample, at_s)) is not None]
-        if self._ground_station_due_s <= at_s + _EPSILON_S:
+        if self._ground_station_due_s <= at_s + EPSILON_S:
             self._ground_station_due_s += _HEARTBEAT_S
             frames.append(controller.pack_forwarded())
         if not _dead(active):
@@ -212,7 +211,7 @@ class Fleet:
 
         They are in order of time.
         """
-        while (self._steps_done + 1) * STEP_S <= to_s + _EPSILON_S:
+        while (self._steps_done + 1) * STEP_S <= to_s + EPSILON_S:
             self._steps_done += 1
             at_s = self._steps_done * STEP_S
             if self._steps_done > 0:
@@ -221,7 +220,7 @@ class Fleet:
             positions = self._positions_m(at_s)
             for vehicle in self._vehicles.values():
                 vehicle.work(at_s, positions)
-        out = [Datagram(sysid, due, data) for sysid, v in self._vehicles.items() for due, data in v.sent(to_s + _EPSILON_S)]
+        out = [Datagram(sysid, due, data) for sysid, v in self._vehicles.items() for due, data in v.sent(to_s + EPSILON_S)]
         return sorted(out, key=lambda datagram: datagram.due_s)
 
     def _positions_m(self, at_s: float) -> dict[int, Vector]:

@@ -201,7 +201,6 @@ class NominalFlight:
     vn_mps: NDArray[np.float64]
     phi_rad: NDArray[np.float64]
     psi_rad: NDArray[np.float64]
-    airspeed_mps: NDArray[np.float64]
     leg: NDArray[np.int64]
 
 
@@ -213,40 +212,31 @@ def fly_routes(
     duration_s: float = 360.0,
     end_of_route: EndOfRoute = EndOfRoute.STRAIGHT,
     wind_east_mps: float = 0.0,
-    wind_north_mps: float = 0.0,
 ) -> NominalFlight:
     """Fly each route from its first waypoint, heading along its first leg.
 
     Sample 0 is the start, sample k is k steps later.
 
-    A waypoint is reached within the radius of the tightest turn. The wind is constant and blows towards east and north.
+    A waypoint is reached within the radius of the tightest turn. The wind is constant and blows towards east.
     `step_s` is the guidance's and the samples' step; the aircraft itself is integrated in steps of at most 0.02 s.
     """
     steps = round(duration_s / step_s)
     substeps = math.ceil(step_s / _LONGEST_STEP_S - 1e-9)
-    columns: NDArray[np.float64] = np.empty((len(routes), steps + 1, 7))
-    legs = np.empty((len(routes), steps + 1), dtype=np.int64)
-    for v, waypoints in enumerate(routes):
+    flown = []
+    for waypoints in routes:
         route = Route(waypoints, end_of_route)
         guidance = Guidance(route, airspeed_mps, turn_radius_m(airspeed_mps))
         start = waypoints[0]
         aircraft = LateralAircraft(start[0], start[1], route.track(0).track_heading_rad(start), airspeed_mps)
-        for k in range(steps + 1):
+        for _ in range(steps + 1):
             s = aircraft.state
             course = s.psi_rad + s.beta_rad
-            columns[v, k] = (
-                s.east_m,
-                s.north_m,
-                airspeed_mps * math.sin(course) + wind_east_mps,
-                airspeed_mps * math.cos(course) + wind_north_mps,
-                s.phi_rad,
-                s.psi_rad,
-                airspeed_mps,
-            )
-            legs[v, k] = guidance.leg_index
+            ve_mps, vn_mps = airspeed_mps * math.sin(course) + wind_east_mps, airspeed_mps * math.cos(course)
+            flown.append((s.east_m, s.north_m, ve_mps, vn_mps, s.phi_rad, s.psi_rad, guidance.leg_index))
             course = guidance.course_command_rad((s.east_m, s.north_m), step_s)
-            heading = heading_for_course(course, airspeed_mps, wind_east_mps, wind_north_mps)
+            heading = heading_for_course(course, airspeed_mps, wind_east_mps, 0.0)
             for _ in range(substeps):
-                aircraft.step(heading, step_s / substeps, wind_east_mps, wind_north_mps)
-    east, north, ve, vn, phi, psi, airspeed = (columns[..., i].copy() for i in range(7))
-    return NominalFlight(np.arange(steps + 1, dtype=np.float64) * step_s, east, north, ve, vn, phi, psi, airspeed, legs)
+                aircraft.step(heading, step_s / substeps, wind_east_mps)
+    east, north, ve, vn, phi, psi, legs = np.array(flown).reshape(len(routes), steps + 1, 7).transpose(2, 0, 1).copy()
+    times_s = np.arange(steps + 1, dtype=np.float64) * step_s
+    return NominalFlight(times_s, east, north, ve, vn, phi, psi, legs.astype(np.int64))

@@ -19,7 +19,7 @@ from sitl_fakes.scenario import DeadReckoning, Gps, Ranging
 
 _BARO_CORRELATION_S = 300.0  # chosen: temperature and weather change within minutes
 _ROLL_NOISE_RAD = math.radians(0.5)
-_EPSILON_S = 1e-9  # chosen: far below a step, far above rounding
+EPSILON_S = 1e-9  # chosen: far below a step, far above rounding
 
 
 class Purpose(IntEnum):
@@ -268,7 +268,7 @@ class Ranger:
 
         Positions are true, east, north, up in m. A peer without one is not there.
         """
-        due = [peer for peer, due_s in self._due_s.items() if due_s <= at_s + _EPSILON_S]
+        due = [peer for peer, due_s in self._due_s.items() if due_s <= at_s + EPSILON_S]
         if not due:
             return []
         present = list(faults)

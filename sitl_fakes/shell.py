@@ -140,17 +140,9 @@ class _Pace:
         out += self._fleet.advance(to_s)
         if to_s >= self._progress_due_s:
             self._progress_due_s += _PROGRESS_INTERVAL_S
-            _log.info("%s", progress_line(self._fleet))
+            vehicles = (f"{t.sysid} {t.source} {t.off_route_m:.0f} m off route" for t in self._fleet.truth().values())
+            _log.info("t = %.0f s: %s", self._fleet.now_s, ", ".join(vehicles))
         return [(datagram.sysid, datagram.payload) for datagram in out]
-
-
-def progress_line(fleet: Fleet) -> str:
-    """Return one line on where the fleet stands.
-
-    It names each vehicle's system id, what it navigates on and how far it is off its route.
-    """
-    vehicles = (f"{t.sysid} {t.source} {t.off_route_m:.0f} m off route" for t in fleet.truth().values())
-    return f"t = {fleet.now_s:.0f} s: " + ", ".join(vehicles)
 
 
 async def _resolve(target: Address) -> Any:

@@ -12,9 +12,8 @@ from pymavlink.dialects.v20 import development
 
 from sitl_fakes import telemetry
 from sitl_fakes.parameters import Kind
+from sitl_fakes.sensors import EPSILON_S
 from sitl_fakes.telemetry import Snapshot
-
-_EPSILON_S = 1e-9  # chosen: far below a step, far above rounding
 
 _Builder = Callable[[Snapshot], Any]
 
@@ -102,11 +101,11 @@ class Streams:
 
     def due(self, at_s: float, take_snapshot: Callable[[float], Snapshot]) -> list[Any]:
         """Build what is due at a time (s); each message at most once, however small its interval."""
-        if min(self._due_s.values(), default=math.inf) > at_s + _EPSILON_S:
+        if min(self._due_s.values(), default=math.inf) > at_s + EPSILON_S:
             return []
         snapshot, out = take_snapshot(at_s), []
         for message_id, due_s in self._due_s.items():
-            if due_s <= at_s + _EPSILON_S:
+            if due_s <= at_s + EPSILON_S:
                 interval = self._interval_s[message_id]
                 self._due_s[message_id] = max(due_s + interval, at_s)
                 message = self._streams[message_id][0](snapshot)

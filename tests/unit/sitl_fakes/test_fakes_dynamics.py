@@ -13,11 +13,12 @@ from sitl_fakes.dynamics import GRAVITY_MPS2, LateralAircraft, LateralDerivative
 SPEEDS = [15.0, 22.0, 35.0, 50.0]
 
 
-def state_matrix(d: LateralDerivatives) -> NDArray[np.float64]:
+def state_matrix(airspeed_mps: float) -> NDArray[np.float64]:
     """System matrix (5, 5) of the linear lateral model, states [beta, p, r, phi, psi] in rad and rad/s (Beard & McLain 5.5.1)."""
+    d = aerosonde(airspeed_mps)
     return np.array(
         [
-            [d.y_beta, d.y_p, d.y_r, GRAVITY_MPS2 / d.airspeed_mps, 0.0],
+            [d.y_beta, d.y_p, d.y_r, GRAVITY_MPS2 / airspeed_mps, 0.0],
             [d.l_beta, d.l_p, d.l_r, 0.0, 0.0],
             [d.n_beta, d.n_p, d.n_r, 0.0, 0.0],
             [0.0, 1.0, 0.0, 0.0, 0.0],
@@ -44,13 +45,12 @@ def test_the_model_reduces_to_the_published_linear_one_about_level_flight():
         x = np.zeros(9)
         x[index] = step
         jacobian[:, column] = (open_loop(x) - open_loop(-x)) / (2.0 * step)
-    d = aerosonde(35.0)
-    assert np.allclose(jacobian, np.hstack([state_matrix(d), input_matrix(d)]), rtol=1e-6, atol=1e-6)
+    assert np.allclose(jacobian, np.hstack([state_matrix(35.0), input_matrix(aerosonde(35.0))]), rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize("speed", SPEEDS)
 def test_the_airframe_has_a_damped_roll_and_dutch_roll_and_a_slow_spiral(speed):
-    modes = np.linalg.eigvals(state_matrix(aerosonde(speed)))
+    modes = np.linalg.eigvals(state_matrix(speed))
     oscillating = modes[np.abs(modes.imag) > 1e-9]
     assert len(oscillating) == 2
     assert (oscillating.real < -0.5).all()
