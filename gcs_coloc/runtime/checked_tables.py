@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
 from gcs_coloc.core.errors import DataError, GcsColocError
+from gcs_coloc.runtime.files import reading
 
 _QUOTE = "'"  # around the names in pydantic's errors
 _MOST_SHOWN = 60  # characters of a wrong value; chosen: the line stays one
@@ -44,12 +45,10 @@ def read_toml(path: Path, error: type[GcsColocError] = DataError) -> dict[str, A
 
     `error` is raised where it cannot be read or is none; its text names the file.
     """
+    with reading(path, error):
+        text = path.read_text(encoding="utf-8-sig")  # Windows' editors begin a file with a byte order mark
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))  # Windows' editors begin a file with a byte order mark
-    except OSError as found:
-        raise error(f"{path}: cannot be read: {found.strerror or found}") from None
-    except UnicodeDecodeError:
-        raise error(f"{path}: is not a text file in UTF-8") from None
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as found:
         raise error(f"{path}: is not valid TOML: {found}") from None
     except (ValueError, RecursionError):  # Python converts no integer of thousands of digits

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import cast
 
 from gcs_coloc.core.errors import TaskError, UsageError
-from gcs_coloc.runtime.output_files import make_output_directory
+from gcs_coloc.runtime.files import make_output_directory
 from gcs_coloc.runtime.pool import Pool, ProcessPool, Result, Task
 from gcs_coloc.runtime.program import program_versions
 

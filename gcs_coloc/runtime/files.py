@@ -1,6 +1,7 @@
-"""Outputs of commands: their paths, checked before the work, and figures and tables.
+"""Files that commands read and write, their errors, and the figures and tables of commands.
 
-A wrong path is then reported at once and not after minutes.
+What is wrong with a file is told in one line that names it. The paths of outputs are checked before the work: a wrong one is
+then reported at once and not after minutes.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gcs_coloc.core.errors import UsageError
+from gcs_coloc.core.errors import DataError, GcsColocError, UsageError
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -30,6 +31,17 @@ def check_output_file(path: Path | None, option: str) -> None:
         raise UsageError(f"{option} {path}: cannot be written: {path.parent} is a file and no directory")
     if not path.parent.exists():
         raise UsageError(f"{option} {path}: cannot be written: there is no directory {path.parent}; make it first")
+
+
+@contextmanager
+def reading(where: Path | str, error: type[GcsColocError] = DataError) -> Iterator[None]:
+    """Read a file in this context; `error` is raised where that fails, its text begins with `where`."""
+    try:
+        yield
+    except OSError as found:
+        raise error(f"{where}: cannot be read: {found.strerror or found}") from None
+    except UnicodeDecodeError:
+        raise error(f"{where}: is not a text file in UTF-8") from None
 
 
 @contextmanager

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.runtime.output_files import check_output_file, make_output_directory, writing
+from gcs_coloc.runtime.files import check_output_file, make_output_directory, writing
 
 
 @pytest.mark.parametrize(
