@@ -15,7 +15,7 @@ from gcs_coloc.core.errors import DataError, UsageError
 from gcs_coloc.core.stations.node_id import is_station, station_id_of
 from gcs_coloc.evaluation.calibration import Calibration
 from gcs_coloc.evaluation.calibration import calibrate as calibrate_devices
-from gcs_coloc.runtime.output_files import check_output_file, new_table, writing
+from gcs_coloc.runtime.files import check_output_file, new_table, writing
 
 
 def calibrate(

@@ -32,7 +32,7 @@ from gcs_coloc.estimators.registry import load_estimator, plug_in_digest
 from gcs_coloc.evaluation.evaluate import Evaluation
 from gcs_coloc.evaluation.evaluate import Progress as EvaluationProgress
 from gcs_coloc.evaluation.evaluate import evaluate as run_evaluation
-from gcs_coloc.runtime.output_files import check_drawing, check_output_file, new_table, writing
+from gcs_coloc.runtime.files import check_drawing, check_output_file, new_table, writing
 from gcs_coloc.runtime.tasks import run_tasks
 
 _MOST_REASONS = 3  # chosen: one line of a terminal

@@ -28,7 +28,7 @@ from gcs_coloc.recorder.judging import (
     write_baseline,
 )
 from gcs_coloc.recorder.judging import judge as judge_all
-from gcs_coloc.runtime.output_files import check_output_file, make_output_directory, new_table
+from gcs_coloc.runtime.files import check_output_file, make_output_directory, new_table
 
 _WORSE = 3
 _TOLERANCE = Tolerance()

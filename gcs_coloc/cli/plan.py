@@ -29,7 +29,7 @@ from gcs_coloc.planning.fleet_plan import FleetPlan
 from gcs_coloc.planning.improvement import find_improvement, no_improvement
 from gcs_coloc.planning.load import load_plan
 from gcs_coloc.planning.mission import LEAST_SPEED_MPS, MOST_SPEED_MPS, ListedStation, PerVehicle
-from gcs_coloc.runtime.output_files import check_drawing, check_output_file, new_table, writing
+from gcs_coloc.runtime.files import check_drawing, check_output_file, new_table, writing
 
 _FILE_WIDTH = 160  # of a table that goes to a file or pipe
 _NOT_ENOUGH = 3

@@ -17,7 +17,7 @@ from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.evaluation.data_checks.findings import DataFinding
 from gcs_coloc.recorder.flight_history import FlightHistory, read_history
-from gcs_coloc.runtime.output_files import check_drawing, check_output_file, make_output_directory, writing
+from gcs_coloc.runtime.files import check_drawing, check_output_file, make_output_directory, writing
 
 RecordingArgument = Annotated[Path, typer.Argument(help="A recording (tlog).", metavar="FILE.tlog")]
 RangesOption = Annotated[Path | None, typer.Option(help="Ranges: unix_s,from_sysid,to_sysid,range_m,sigma_m.")]

@@ -20,7 +20,7 @@ from gcs_coloc.cli.task_options import (
     workers_for,
 )
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.runtime.output_files import check_drawing, check_output_file, make_output_directory, writing
+from gcs_coloc.runtime.files import check_drawing, check_output_file, make_output_directory, writing
 from gcs_coloc.study.paper_options import PaperOptions, QForm, QUnit
 
 app = typer.Typer(

@@ -9,7 +9,7 @@ from pathlib import Path
 from gcs_coloc.core.messages.inbound import Autopilot
 from gcs_coloc.doctor.finding import Setup, VehicleSurvey
 from gcs_coloc.doctor.report import of_vehicle
-from gcs_coloc.runtime.output_files import make_output_directory, writing
+from gcs_coloc.runtime.files import make_output_directory, writing
 
 _REAL32 = 9
 """MAV_PARAM_TYPE_REAL32 (MAVLink common.xml)."""

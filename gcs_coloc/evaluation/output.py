@@ -11,7 +11,7 @@ import numpy as np
 
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.evaluation.evaluate import Evaluation, VehicleEvaluation
-from gcs_coloc.runtime.output_files import new_figure, save_figure, writing
+from gcs_coloc.runtime.files import new_figure, save_figure, writing
 
 _COLUMNS = ("dataset", "estimator", "id", "t_s", "e_m", "n_m", "u_m", "sigma_e_m", "sigma_n_m", "sigma_u_m", "bound_95_m",
             "true_e_m", "true_n_m", "true_u_m", "error_h_m", "error_3d_m")  # fmt: skip

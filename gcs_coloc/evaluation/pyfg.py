@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from gcs_coloc.core.errors import DataError, UsageError
-from gcs_coloc.runtime.output_files import writing
+from gcs_coloc.runtime.files import reading, writing
 
 _POSES = {"VERTEX_SE2": 2, "VERTEX_SE3:QUAT": 3}
 _LANDMARKS = {"VERTEX_XY": 2, "VERTEX_XYZ": 3}
@@ -98,12 +98,8 @@ def import_pyfg(file: Path, directory: Path, denied: Collection[str], peer_sigma
 
 
 def _read(file: Path) -> _Graph:
-    try:
+    with reading(file):
         lines = file.read_text(encoding="utf-8").splitlines()
-    except OSError as error:
-        raise DataError(f"{file}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise DataError(f"{file}: is not a text file in UTF-8") from None
     graph, count = _Graph(), 0
     for number, line in enumerate(lines, start=1):
         words = line.split()

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from gcs_coloc.core.errors import DataError
+from gcs_coloc.runtime.files import reading
 
 _OTHER_SEPARATORS = {";": "semicolons", "\t": "tabs"}
 _MOST_DROPPED = 0.5
@@ -189,7 +190,10 @@ def read_layout(
 
 def _read(path: Path, check_header: Callable[[list[str]], None]) -> Iterator[TableRow]:
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:  # spreadsheets begin UTF-8 with a byte order mark
+        with (
+            reading(path),
+            path.open(encoding="utf-8-sig", newline="") as file,
+        ):  # spreadsheets begin UTF-8 with a byte order mark
             reader = csv.reader(file, strict=True)
             header = [name.strip() for name in next(reader, [])]
             other = next((sign for sign in _OTHER_SEPARATORS if len(header) == 1 and sign in header[0]), None)
@@ -204,9 +208,5 @@ def _read(path: Path, check_header: Callable[[list[str]], None]) -> Iterator[Tab
                 if not cells:
                     continue
                 yield TableRow(path, reader.line_num, header, cells)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise DataError(f"{path}: is not a text file in UTF-8") from None
     except csv.Error as error:
         raise DataError(f"{path}: is not a CSV file: {error}") from None

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from html import escape
 from typing import Any
 
-from gcs_coloc.runtime.output_files import new_figure
+from gcs_coloc.runtime.files import new_figure
 
 _HEAD = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8">

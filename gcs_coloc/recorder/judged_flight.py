@@ -23,6 +23,7 @@ from gcs_coloc.recorder.flight_report import FlightReport
 from gcs_coloc.recorder.replay import Replay, replay
 from gcs_coloc.recorder.side_tables import read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
+from gcs_coloc.runtime.files import reading
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,11 +82,8 @@ def find_recording(file: Path, name: str) -> FoundRecording:
 
 
 def _digest(path: Path) -> bytes:
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").digest()
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read: {error.strerror}") from None
+    with reading(path), path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").digest()
 
 
 def _table(file: Path, what: str, *, is_alone: bool) -> Path | None:

@@ -16,7 +16,7 @@ from gcs_coloc.core.alarms.alarms import AlarmKind
 from gcs_coloc.core.errors import DataError
 from gcs_coloc.estimators.registry import plug_in_digest
 from gcs_coloc.recorder.judged_flight import Figures, FoundRecording, JudgedBy, JudgedFlight, judge_flight
-from gcs_coloc.runtime.output_files import writing
+from gcs_coloc.runtime.files import reading, writing
 from gcs_coloc.runtime.program import program_digest
 from gcs_coloc.runtime.tasks import KeptResults, Progress, Workers, run_tasks
 
@@ -70,11 +70,11 @@ def read_baseline(path: Path) -> tuple[dict[str, str], list[JudgedFlight]]:
     Raises:
         DataError: it cannot be read, or is none.
     """
+    with reading(path):
+        text = path.read_text(encoding="utf-8")
     try:
-        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        content: dict[str, Any] = json.loads(text)
         return dict(content["judged_with"]), [JudgedFlight(**row) for row in content["recordings"]]
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read: {error.strerror}") from None
     except (KeyError, TypeError, ValueError):
         raise DataError(f"{path}: is no baseline; make one with gcs-coloc judge DIR... --write-baseline FILE") from None
 

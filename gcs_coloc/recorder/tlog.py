@@ -28,6 +28,7 @@ from gcs_coloc.mavlink.framing import (
     read_frame,
 )
 from gcs_coloc.mavlink.refusals import Counts, Refusal
+from gcs_coloc.runtime.files import reading
 
 SEARCHED_BYTES = 1 << 16
 """A file without one good record in so many bytes is no tlog."""
@@ -109,14 +110,11 @@ class TlogReader:
             DataError: the file cannot be read or is no tlog.
         """
         first_s = next(iter(TlogReader(self._path))).unix_s
-        try:
-            with self._path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-                return first_s, max(first_s, _last_time_s(data))
-        except OSError as error:
-            raise DataError(f"{self._path}: cannot be read: {error.strerror}") from error
+        with reading(self._path), self._path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            return first_s, max(first_s, _last_time_s(data))
 
     def __iter__(self) -> Iterator[TlogRecord]:
-        try:
+        with reading(self._path):
             about = self._path.stat()
             if stat.S_ISDIR(about.st_mode):
                 raise DataError(f"{self._path}: is a directory; a recording is a file, NAME.tlog")
@@ -126,8 +124,6 @@ class TlogReader:
                 raise DataError(f"{self._path}: is empty, no tlog")
             with self._path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
                 yield from self._records(data)
-        except OSError as error:
-            raise DataError(f"{self._path}: cannot be read: {error.strerror}") from error
 
     def _records(self, data: mmap.mmap) -> Iterator[TlogRecord]:
         position, size = 0, len(data)

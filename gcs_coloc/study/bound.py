@@ -17,7 +17,7 @@ import numpy as np
 from gcs_coloc.core.errors import DataError, UsageError
 from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.estimators.qu_zhang.cv_filter import transition, white_acceleration_noise
-from gcs_coloc.runtime.output_files import new_figure, save_figure
+from gcs_coloc.runtime.files import new_figure, save_figure
 from sitl_fakes.faults import GpsLost
 from sitl_fakes.fleet import Fleet
 from sitl_fakes.scenario import Scenario, ScenarioError, load_scenario

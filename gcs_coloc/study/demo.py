@@ -29,7 +29,7 @@ from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.errors import GcsColocError, UsageError
 from gcs_coloc.estimators.registry import load_estimator
-from gcs_coloc.runtime.output_files import make_output_directory, new_figure, save_figure
+from gcs_coloc.runtime.files import make_output_directory, new_figure, save_figure
 from gcs_coloc.study.closed_loop import Flight, Sample, fly
 from sitl_fakes.faults import GpsLost
 from sitl_fakes.geodesy import WorldFrame

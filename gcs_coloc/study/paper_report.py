@@ -13,7 +13,7 @@ import numpy as np
 from rich.table import Table
 
 from gcs_coloc import __version__
-from gcs_coloc.runtime.output_files import make_output_directory, new_figure, new_table, save_figure, writing
+from gcs_coloc.runtime.files import make_output_directory, new_figure, new_table, save_figure, writing
 from gcs_coloc.study.paper import FLEET, FilterScore, PaperStudy, Row
 
 TITLES = {

@@ -21,7 +21,7 @@ from gcs_coloc.planning.flight_path import Leg
 from gcs_coloc.planning.load import load_plan
 from gcs_coloc.planning.predicted_flight import Prediction
 from gcs_coloc.planning.prediction import predict
-from gcs_coloc.runtime.output_files import new_table
+from gcs_coloc.runtime.files import new_table
 from gcs_coloc.runtime.tasks import KeptResults, Progress, Workers, run_tasks
 from gcs_coloc.study.drawn_flight import DrawnFlight, fly_plan
 from sitl_fakes.scenario import SCENARIOS

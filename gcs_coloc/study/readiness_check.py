@@ -27,7 +27,7 @@ from gcs_coloc.recorder.judged_flight import find_recording
 from gcs_coloc.recorder.replay import Replay
 from gcs_coloc.recorder.side_tables import read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
-from gcs_coloc.runtime.output_files import new_table
+from gcs_coloc.runtime.files import new_table
 from gcs_coloc.runtime.tasks import KeptResults, Progress, Workers, run_tasks
 from gcs_coloc.study.integrity.flight_classes import CLASSES
 from gcs_coloc.study.integrity.simulated_fleet import SimulatedFleet

@@ -27,6 +27,7 @@ from pmtiles.tile import (
 )
 
 from gcs_coloc.core.errors import ConfigError
+from gcs_coloc.runtime.files import reading
 from gcs_coloc.web.wire import TilesInfo
 
 _HEADER_BYTES = 127  # source: PMTiles specification, version 3
@@ -57,10 +58,8 @@ class TileFile:
             ConfigError: it cannot be read, is no PMTiles file of version 3, or holds no pictures.
         """
         self._where = f"web.tiles: {path}"
-        try:
+        with reading(self._where, ConfigError):
             self._fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-        except OSError as error:
-            raise ConfigError(f"{self._where}: cannot be read: {error.strerror}") from None
         self._directory = lru_cache(_DIRECTORIES_KEPT)(self._read_directory)
         try:
             self._header = deserialize_header(os.pread(self._fd, _HEADER_BYTES, 0))

@@ -17,7 +17,7 @@ from gcs_coloc.core.gps_health.gps_health import DISTRUSTED, GpsState
 from gcs_coloc.core.measurements import Estimate
 from gcs_coloc.core.messages.outbound import GpsInput
 from gcs_coloc.estimators.registry import load_estimator
-from gcs_coloc.runtime.output_files import writing
+from gcs_coloc.runtime.files import writing
 from gcs_coloc.study.integrity.flight_classes import CLASSES
 from gcs_coloc.study.integrity.simulated_fleet import SimulatedFleet
 

@@ -17,7 +17,7 @@ from rich.table import Table
 from scipy.stats import chi2
 
 from gcs_coloc import __version__
-from gcs_coloc.runtime.output_files import writing
+from gcs_coloc.runtime.files import writing
 from gcs_coloc.study.integrity.flight_classes import CLASSES, Group
 from gcs_coloc.study.integrity.trial import FLIGHT_S, TIME_TO_ALERT_S, EventKind, TrialScore
 from gcs_coloc.study.integrity.trial_runs import RunOptions, flown_with

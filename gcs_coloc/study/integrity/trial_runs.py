@@ -12,7 +12,7 @@ from pathlib import Path
 
 from gcs_coloc.core.errors import DataError, UsageError
 from gcs_coloc.estimators.registry import plug_in_digest
-from gcs_coloc.runtime.output_files import make_output_directory, writing
+from gcs_coloc.runtime.files import make_output_directory, writing
 from gcs_coloc.runtime.program import program_digest
 from gcs_coloc.runtime.tasks import Workers, iterate_tasks
 from gcs_coloc.study.integrity.flight_classes import CLASSES

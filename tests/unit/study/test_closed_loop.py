@@ -9,7 +9,7 @@ from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.stations.stations import Station, StationPosition
 from gcs_coloc.core.telemetry.measurement_settings import MeasurementSettings
 from gcs_coloc.estimators.registry import load_estimator
-from gcs_coloc.runtime.output_files import new_figure, save_figure
+from gcs_coloc.runtime.files import new_figure, save_figure
 from gcs_coloc.study.closed_loop import Flight, fly
 from gcs_coloc.study.demo import draw, figures
 from sitl_fakes.faults import GpsLost
