@@ -100,6 +100,12 @@ def ekf_uses_a_position(datagrams: list[Datagram], sysid: int) -> bool:
     return bool(flags & mavlink.EKF_POS_HORIZ_ABS)
 
 
+def error_m(fleet: Fleet, sysid: int = 1) -> float:
+    """How far a vehicle's own position is from where it truly is, horizontally."""
+    t = fleet.truth()[sysid]
+    return math.hypot(t.estimate_east_m - t.east_m, t.estimate_north_m - t.north_m)
+
+
 def lost(sysid: int, at_s: float = 5.0) -> dict[str, Any]:
     """A fault table: the vehicle's GPS is lost."""
     return {"kind": "gps_lost", "vehicle": sysid, "at_s": at_s}

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sitl_fakes.fleet import STEP_S, Fleet
-from tests.unit.sitl_fakes.fakes_support import EXACT, GroundStation, aid, ekf_uses_a_position, gps_input, lost, parse, scenario
+from tests.unit.sitl_fakes.fakes_support import (
+    EXACT,
+    GroundStation,
+    aid,
+    ekf_uses_a_position,
+    error_m,
+    gps_input,
+    lost,
+    parse,
+    scenario,
+)
 
 IGNORE_VD = mavlink.GPS_INPUT_IGNORE_FLAG_VEL_VERT
 STRAIGHT = {"sysid": 1, "waypoints": [[0, 0], [0, 90000]], "ranges_to": []}
@@ -156,11 +164,6 @@ def test_without_rates_it_sends_its_heartbeat_alone_until_it_is_asked():
 STEPPED = {"kind": "gps_spoofed", "vehicle": 1, "at_s": LOST_S, "until_s": 45.0, "speed_mps": 0.0, "offset_m": 200.0}
 
 
-def off_m(fleet):
-    t = fleet.truth()[1]
-    return math.hypot(t.estimate_east_m - t.east_m, t.estimate_north_m - t.north_m)
-
-
 def test_a_step_of_its_receiver_is_refused_then_flown_by_after_four_seconds_and_fused_after_ten():
     """Real, after a step of 200 m: the lane switched at once, flag 32768 1.2 s later, on the receiver's fixes alone from 3.8
     to 9.9 s, at 10 s EKF3 reset to them.
@@ -169,7 +172,7 @@ def test_a_step_of_its_receiver_is_refused_then_flown_by_after_four_seconds_and_
     off, out = {}, []
     for at_s in (0.5, 1.5, 3.5, 4.5, 9.5, 10.5, 30.0):
         out += fleet.advance(LOST_S + at_s)
-        off[at_s] = off_m(fleet)
+        off[at_s] = error_m(fleet)
     assert max(off[0.5], off[1.5], off[3.5]) < 5.0
     assert [off[at_s] for at_s in (4.5, 9.5, 10.5, 30.0)] == pytest.approx([200.0] * 4, abs=10.0)
     assert [m.text for m in parse(out, "STATUSTEXT", 1)] == ["EKF3 lane switch 1", "AHRS: DCM active", "AHRS: EKF3 active"]

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sitl_fakes.fleet import Fleet
-from tests.unit.sitl_fakes.fakes_support import GroundStation, aid, parse, scenario
+from tests.unit.sitl_fakes.fakes_support import GroundStation, aid, error_m, parse, scenario
 
 JAMMED = {"kind": "gps_jammed", "vehicle": 1, "at_s": 5.0}
 
@@ -24,11 +22,6 @@ def set_param(fleet, name, value):
     fleet.deliver(1, GroundStation().pack(mavlink.MAVLink_param_set_message(1, 1, name.encode(), value, 2)), fleet.now_s)
     (done,) = parse(fleet.advance(fleet.now_s + 0.04), "PARAM_VALUE", 1)
     assert (done.param_id, done.param_value) == (name, value)
-
-
-def error_m(fleet):
-    t = fleet.truth()[1]
-    return math.hypot(t.estimate_east_m - t.east_m, t.estimate_north_m - t.north_m)
 
 
 def test_the_autopilot_goes_back_to_the_jammed_receiver_and_is_taken_off_although_good_aid_is_there():

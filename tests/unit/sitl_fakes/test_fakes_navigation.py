@@ -10,15 +10,10 @@ import pytest
 from sitl_fakes.fleet import Fleet
 from sitl_fakes.navigation import Navigation
 from sitl_fakes.receivers import GpsFix
-from tests.unit.sitl_fakes.fakes_support import aid, lost, parse, scenario
+from tests.unit.sitl_fakes.fakes_support import aid, error_m, lost, parse, scenario
 
 WINDY = {"speed_mps": 6.0, "from_deg": 240.0, "variation_mps": 0.7}
 CIRCUIT = [[0, 0], [0, 900], [900, 900], [900, 0]]
-
-
-def error_m(fleet, sysid=1):
-    t = fleet.truth()[sysid]
-    return math.hypot(t.estimate_east_m - t.east_m, t.estimate_north_m - t.north_m)
 
 
 def fix(east, north, ve, vn, sigma=2.0):

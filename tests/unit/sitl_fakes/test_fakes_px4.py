@@ -14,7 +14,7 @@ from gcs_coloc.core.aiding.methods.px4_positions import px4_local_m
 from gcs_coloc.core.messages.inbound import GlobalOrigin
 from sitl_fakes.faults import Reboot
 from sitl_fakes.fleet import Fleet
-from tests.unit.sitl_fakes.fakes_support import GroundStation, aid, lost, parse, scenario
+from tests.unit.sitl_fakes.fakes_support import GroundStation, aid, error_m, lost, parse, scenario
 
 
 def px4(*faults, wind=None, **params):
@@ -59,11 +59,6 @@ def stream_vision(fleet, from_s, to_s, *, sigma_m=3.0, shift_east_m=0.0, interva
         )
         fleet.deliver(1, gcs.pack(message), fleet.now_s)
     return fleet.advance(to_s + 0.6)
-
-
-def error_m(fleet):
-    t = fleet.truth()[1]
-    return math.hypot(t.estimate_east_m - t.east_m, t.estimate_north_m - t.north_m)
 
 
 def test_it_says_that_it_is_px4_and_sends_px4s_messages():
