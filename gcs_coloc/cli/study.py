@@ -30,13 +30,18 @@ app = typer.Typer(
 )
 
 
+StudiedOption = Annotated[str, typer.Option("--estimator", help="fleet, qu_zhang, or a plug-in.")]
+ClassesOption = Annotated[list[str] | None, typer.Option("--class", help="A class of flights; several times for several.")]
+FirstSeedOption = Annotated[int, typer.Option(help="Seed of the first flight of each class.", min=0)]
+
+
 @app.command("demo")
 def demo(
     out: Annotated[Path, typer.Option(help="Where the picture and the logs go.")] = Path("out/demo"),
     scenario: Annotated[
         str, typer.Option(help="A scenario that comes with sitl-fakes (sitl-fakes --list), or a scenario file (TOML).")
     ] = "paper",
-    estimator: Annotated[str, typer.Option(help="fleet, qu_zhang, or a plug-in.")] = "fleet",
+    estimator: StudiedOption = "fleet",
     seed: Annotated[int, typer.Option(help="Seed of the simulated aircraft's noise.", min=0)] = 1,
 ) -> None:
     """Fly simulated aircraft: live for 90 s, then the whole flight in process; report and draw."""
@@ -124,13 +129,13 @@ def bound(
 
 @app.command("integrity")
 def integrity(
-    classes: Annotated[list[str] | None, typer.Option("--class", help="A class of flights; several times for several.")] = None,
+    classes: ClassesOption = None,
     seeds: Annotated[int | None, typer.Option(help="Flights of each class; 2 where neither this nor --hours is stated.")] = None,
     hours: Annotated[float | None, typer.Option(help="Hours under aid in all classes together, instead of --seeds.")] = None,
-    first_seed: Annotated[int, typer.Option(help="Seed of the first flight of each class.", min=0)] = 1,
+    first_seed: FirstSeedOption = 1,
     jobs: JobsOption = 0,
     scheduler: SchedulerOption = None,
-    estimator: Annotated[str, typer.Option(help="fleet, qu_zhang, or a plug-in.")] = "fleet",
+    estimator: StudiedOption = "fleet",
     out: Annotated[
         Path, typer.Option(help="Directory of the flights and the JSON; a run that was stopped goes on there.")
     ] = Path("out/integrity"),
@@ -215,12 +220,12 @@ def planning(
 
 @app.command("readiness")
 def readiness(
-    classes: Annotated[list[str] | None, typer.Option("--class", help="A class of flights; several times for several.")] = None,
+    classes: ClassesOption = None,
     recording: Annotated[
         list[str] | None, typer.Option(help="A recording (tlog), its tables beside it; several times for several.")
     ] = None,
     seeds: Annotated[int, typer.Option(help="Flights of each class, and losses in each recording.", min=1)] = 5,
-    first_seed: Annotated[int, typer.Option(help="Seed of the first flight of each class.", min=0)] = 1,
+    first_seed: FirstSeedOption = 1,
     from_s: Annotated[
         float, typer.Option("--from", help="In a recording GPS is taken within 10 s from here, s.", min=0.0)
     ] = 12.0,
