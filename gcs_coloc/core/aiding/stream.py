@@ -65,7 +65,7 @@ class AidingView:
 
 
 class AidingStream:
-    """The stream to one vehicle.
+    """The stream to one vehicle, which it has for a `purpose`.
 
     `inhibit`: why the last message had no fix, None where it had one. `sent_fix`: the last fix. `acknowledgement`: is it used?
     None where no message shows it. `transmits`: what is built is sent; else what the vehicle reports is no answer to it.
@@ -89,7 +89,7 @@ class AidingStream:
         self.inhibit: Inhibit | None = StatedReason(InhibitReason.NOT_SENT_YET)
         self.sent_fix: SentFix | None = None
         self._sysid = sysid
-        self._purpose = purpose
+        self.purpose = purpose
         self._purpose_since_s = now_s
         self._schedule = schedule
         self._transmits = transmits
@@ -101,18 +101,13 @@ class AidingStream:
         self._is_predicting = False
         self._told_prediction = False
 
-    @property
-    def purpose(self) -> Purpose:
-        """Why the vehicle has the stream."""
-        return self._purpose
-
     def set_purpose(self, purpose: Purpose, now_s: float) -> None:
         """Change the purpose."""
-        if purpose is not self._purpose:
-            if self._purpose is Purpose.STANDBY:
+        if purpose is not self.purpose:
+            if self.purpose is Purpose.STANDBY:
                 # On standby the fix was the vehicle's own: that it was lost is no flicker of the aid that begins.
                 self._policy = FixPolicy(self._settings, now_s)
-            self._purpose, self._purpose_since_s = purpose, now_s
+            self.purpose, self._purpose_since_s = purpose, now_s
 
     def restart_purpose(self, now_s: float) -> None:
         """Count the time of the purpose from now on."""
@@ -145,7 +140,7 @@ class AidingStream:
         self.due_s = self._schedule.after(now_s, self._period_s)
         arrives_s = now_s + min(inputs.one_way_delay_s or 0.0, _LONGEST_LEAD_S)
         where = estimate_at(self._sysid, arrives_s - self.method.age_s)
-        is_aid = self._purpose is Purpose.AID
+        is_aid = self.purpose is Purpose.AID
         if isinstance(where, NoEstimate) and not is_aid and self.purpose_for_s(now_s) < _FIRST_REPORT_S:
             # Trusted again, it has not reported yet: a message left out does less harm than one without a fix.
             return []
@@ -205,7 +200,7 @@ class AidingStream:
 
     def status(self) -> str:
         """Return what is sent in a few words, but not why there is no estimate: that stands at the position."""
-        lead = "sending" if self._purpose is Purpose.AID else f"{self._purpose.value}: sending"
+        lead = "sending" if self.purpose is Purpose.AID else f"{self.purpose.value}: sending"
         if self.inhibit is not None:
             reason = "" if self.inhibit.reason is InhibitReason.NO_ESTIMATE else f": {self.inhibit.text}"
             return f"{lead} {self.method.without_fix()}{reason}"

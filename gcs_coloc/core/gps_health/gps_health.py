@@ -75,12 +75,15 @@ _NOTHING_HEARD = StatedReason(GpsReason.NOTHING_HEARD)
 
 
 class GpsHealth:
-    """The GPS health of one vehicle: a state machine that `update` moves by evidence and checks."""
+    """The GPS health of one vehicle: a state machine that `update` moves by evidence and checks.
+
+    `state` is that since the last update, `reason` what speaks for it.
+    """
 
     def __init__(self, settings: GpsHealthSettings) -> None:
         self._settings = settings
-        self._state = GpsState.UNKNOWN
-        self._reason = _NOTHING_HEARD
+        self.state = GpsState.UNKNOWN
+        self.reason = _NOTHING_HEARD
         self._since_s = 0.0
         self._good_since_s: float | None = None
         self._relapses = 0
@@ -94,30 +97,20 @@ class GpsHealth:
         self._doppler = DopplerCheck()
 
     @property
-    def state(self) -> GpsState:
-        """The state since the last update."""
-        return self._state
-
-    @property
-    def reason(self) -> StatedReason[GpsReason]:
-        """What speaks for the state."""
-        return self._reason
-
-    @property
     def is_returning(self) -> bool:
         """Whether a failed vehicle has good evidence again: RECOVERING, or FAILED and not good for long yet."""
-        return self._state is GpsState.RECOVERING or (self._state is GpsState.FAILED and self._good_since_s is not None)
+        return self.state is GpsState.RECOVERING or (self.state is GpsState.FAILED and self._good_since_s is not None)
 
     @property
     def reports_false_fix(self) -> bool:
         """Whether the receiver of a FAILED vehicle reports a fix all the same, or one that came and went."""
-        return self._state is GpsState.FAILED and (self._has_bad_fix or self._flickered)
+        return self.state is GpsState.FAILED and (self._has_bad_fix or self._flickered)
 
     @property
     def may_witness(self) -> bool:
         """Whether nothing speaks against it but, at most, ranges that leave open who is at fault."""
-        by_ranges_alone = self._state is GpsState.SUSPECT and self._reason.reason is GpsReason.CONTRADICTED_BY_RANGES
-        return (self._state is GpsState.HEALTHY or by_ranges_alone) and not self._has_own_trouble
+        by_ranges_alone = self.state is GpsState.SUSPECT and self.reason.reason is GpsReason.CONTRADICTED_BY_RANGES
+        return (self.state is GpsState.HEALTHY or by_ranges_alone) and not self._has_own_trouble
 
     def is_doubtful(self, now_s: float) -> bool:
         """Return whether the receiver's fixes have moved otherwise than its own velocity says.
@@ -149,7 +142,7 @@ class GpsHealth:
             self._has_own_trouble = False
             return self._enter(forced, StatedReason(GpsReason.OVERRIDDEN, detail=evidence.override.value), now_s)
         if fault is not None:
-            self._flickered = self._flickered or (self._good_since_s is not None and self._state is not GpsState.HEALTHY)
+            self._flickered = self._flickered or (self._good_since_s is not None and self.state is not GpsState.HEALTHY)
             self._good_since_s = None
             return self._bad(fault, evidence, now_s)
         if evidence.receiver is None:
@@ -159,10 +152,10 @@ class GpsHealth:
         return self._good(evidence.receiver, evidence, now_s - self._good_since_s, now_s)
 
     def _bad(self, fault: StatedReason[GpsReason], evidence: GpsEvidence, now_s: float) -> bool:
-        if self._state is GpsState.FAILED:
-            self._reason = fault
+        if self.state is GpsState.FAILED:
+            self.reason = fault
             return False
-        if self._state is GpsState.RECOVERING:
+        if self.state is GpsState.RECOVERING:
             self._relapses += 1
             return self._enter(GpsState.FAILED, fault, now_s)
         # An identified fault has stood the test of several seconds before it is stated.
@@ -171,7 +164,7 @@ class GpsHealth:
         receiver = evidence.receiver
         lost_fix = receiver is not None and (self._receiver_fault(receiver) is not None or self._has_ceased(evidence, now_s))
         # A vehicle without a fix from the first message on, as after a restart in a loss, has no lost message to wait out.
-        is_lasting = self._state is GpsState.SUSPECT and now_s - self._since_s >= self._settings.fail_after_s
+        is_lasting = self.state is GpsState.SUSPECT and now_s - self._since_s >= self._settings.fail_after_s
         if lost_fix and (is_lasting or not self._was_healthy):
             return self._enter(GpsState.FAILED, fault, now_s)
         return self._enter(GpsState.SUSPECT, fault, now_s)
@@ -181,22 +174,22 @@ class GpsHealth:
         if is_fresh(evidence.integrity, now_s) and evidence.integrity.jamming is Interference.MITIGATED:
             fix += ", jamming mitigated"
         untested = evidence.is_return_untested
-        if self._state in (GpsState.FAILED, GpsState.RECOVERING):
+        if self.state in (GpsState.FAILED, GpsState.RECOVERING):
             steady_s = min(self._settings.steady_after_s * 2.0 ** min(self._relapses, _MOST_DOUBLINGS), _LONGEST_STEADY_S)
             if good_for_s < steady_s:
-                self._reason = StatedReason(GpsReason.RETURNING, limit=steady_s, detail=fix)
+                self.reason = StatedReason(GpsReason.RETURNING, limit=steady_s, detail=fix)
                 return False
             recover_after_s = max(self._settings.recover_after_s, steady_s)
-            if self._state is GpsState.FAILED or good_for_s < recover_after_s or evidence.is_return_contradicted:
+            if self.state is GpsState.FAILED or good_for_s < recover_after_s or evidence.is_return_contradicted:
                 reason = GpsReason.RETURNED_UNTESTED if untested else GpsReason.RETURNED
                 return self._enter(GpsState.RECOVERING, StatedReason(reason, limit=recover_after_s, detail=fix), now_s)
             reason = GpsReason.RECOVERED_UNTESTED if untested else GpsReason.FIX
             self._flickered = False
             return self._enter(GpsState.HEALTHY, StatedReason(reason, detail=fix), now_s)
-        if self._state is GpsState.SUSPECT and good_for_s < self._settings.clear_after_s:
+        if self.state is GpsState.SUSPECT and good_for_s < self._settings.clear_after_s:
             return False
-        if self._state is GpsState.SUSPECT and evidence.is_return_contradicted:
-            self._reason = StatedReason(GpsReason.RETURN_CONTRADICTED, detail=fix)
+        if self.state is GpsState.SUSPECT and evidence.is_return_contradicted:
+            self.reason = StatedReason(GpsReason.RETURN_CONTRADICTED, detail=fix)
             return False
         return self._enter(GpsState.HEALTHY, StatedReason(GpsReason.FIX, detail=fix), now_s)
 
@@ -204,7 +197,7 @@ class GpsHealth:
         """Return the worst thing that the evidence says, or None."""
         of_receiver, of_autopilot = self._trouble_of_receiver(evidence, now_s), self._trouble_of_autopilot(evidence, now_s)
         self._has_own_trouble = of_receiver is not None or of_autopilot is not None
-        is_excused = evidence.host_lag_s > HOST_LATE_S and self._state is GpsState.HEALTHY
+        is_excused = evidence.host_lag_s > HOST_LATE_S and self.state is GpsState.HEALTHY
         contradiction = evidence.contradiction
         if of_receiver is None and contradiction is not None and (contradiction.is_identified or not is_excused):
             return StatedReason(GpsReason.CONTRADICTED_BY_RANGES, detail=contradiction.text)
@@ -261,14 +254,14 @@ class GpsHealth:
         return self._motion.frozen()
 
     def _enter(self, state: GpsState, reason: StatedReason[GpsReason], now_s: float) -> bool:
-        changed = state is not self._state
+        changed = state is not self.state
         if changed:
-            if self._state is GpsState.HEALTHY:
+            if self.state is GpsState.HEALTHY:
                 self._relapses = self._relapses + 1 if self._was_failed and now_s - self._since_s < _RELAPSE_WITHIN_S else 0
             self._was_healthy = self._was_healthy or state is GpsState.HEALTHY
             self._was_failed = self._was_failed or state is GpsState.FAILED
-            self._state, self._since_s = state, now_s
-        self._reason = reason
+            self.state, self._since_s = state, now_s
+        self.reason = reason
         return changed
 
 

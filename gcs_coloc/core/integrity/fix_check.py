@@ -64,14 +64,10 @@ def check_fix(
     pasts: Mapping[float, Past],
     suspects: Collection[int] = (),
 ) -> FixCheck:
-    """Test a fix against the estimate and against the ranges.
+    """Test a receiver's fix against the vehicle's estimate near in time, if fit for it, and the ranges.
 
-    Args:
-        fix: the receiver's position.
-        estimate: the vehicle's position from ranges, near the fix in time; None where it is no fit reference.
-        epoch: the vehicle with the fix as its prior, and its residuals to trusted peers: its `star`.
-        pasts: the earlier epochs to compare it with, by interval; none for 0.
-        suspects: the vehicles of which something bad is known; that of the fix is one in any case.
+    `epoch` is the vehicle's `star`, with the fix as its prior, `pasts` are the earlier ones to compare it with, by interval.
+    `suspects` are vehicles of which something bad is known; that of the fix is one in any case.
     """
     difference_m = _difference_m(fix, estimate) if estimate is not None else None
     offset_m = float(np.hypot(*difference_m)) if difference_m is not None else None

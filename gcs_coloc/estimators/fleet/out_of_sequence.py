@@ -50,13 +50,8 @@ class Entry(Generic[Event]):
 class OosmBuffer(Generic[Model, Event]):
     """Applies events to a model in the order of their keys, whose first element is the time in seconds.
 
-    `outcomes` counts the outcomes of the last application of each event.
-
-    Args:
-        model: the model in its first state.
-        apply: applies one event to a model and returns its outcome.
-        window_s: how long after its time an event may arrive.
-
+    `outcomes` counts the outcomes of the last application of each event, which `apply` returns. An event may arrive `window_s`
+    after its time.
     """
 
     def __init__(self, model: Model, apply: Callable[[Model, Entry[Event]], str], window_s: float) -> None:

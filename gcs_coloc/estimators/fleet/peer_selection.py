@@ -67,14 +67,9 @@ def select_peers(
 ) -> frozenset[int]:
     """Select at most `most` peers greedily: each next one lowers the trace of the position cofactor most.
 
-    Args:
-        here: (3,) position of the denied vehicle, ENU in m.
-        placed: candidates with their positions (3,), in a fixed order (ties go to the first).
-        kept: those in use now; another one has to be clearly better to replace one.
-        shared: those that other denied vehicles use; any other one adds states for this vehicle alone.
-        most: how many may be used.
-        height_known: whether the vehicle measures its own height, which is worth a range from straight above.
-
+    The vehicle is at `here` (3,), m, the candidates are where they are `placed`; ties go to the first. To replace one of the
+    `kept`, which are in use, another one has to be clearly better. One that is not `shared` with other denied vehicles adds
+    states for this one alone. A known height is worth a range from straight above.
     """
     there = np.array([position for _, position in placed])
     d = here - there

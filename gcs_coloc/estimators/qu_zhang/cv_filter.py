@@ -84,16 +84,9 @@ class CvFilter:
     the same for minutes) have entered the state: sensitivities, by vehicle (Schmidt's "consider" states). They change with the
     same gains as the state, and average out only where the geometry makes them.
 
-    Args:
-        at_s: time of the state.
-        position_m: shape (axes,).
-        position_covariance: shape (axes, axes), m^2.
-        velocity_mps: shape (axes,).
-        velocity_variance: m^2/s^2 on each axis.
-        density_m2ps3: spectral density of the white acceleration.
-        memory_s: measurements that come late by up to this are taken in as if they had come in order.
-        sensitivities: of the starting position to lasting errors, each of shape (axes, k).
-
+    It starts at `at_s` from a position (axes,) with covariance (axes, axes), a velocity (axes,) with one variance for each axis,
+    and the sensitivities (axes, k) of the position. `density_m2ps3` is that of the white acceleration. What comes late by up to
+    `memory_s` counts as if it had come in order.
     """
 
     def __init__(
@@ -171,14 +164,7 @@ class CvFilter:
         """Update with a measurement z = H x + noise of covariance R, made at `at_s`.
 
         A newer one carries the filter on to its time. For an older one the filter is run again from before it, so that the
-        answer is that of ordered arrival.
-
-        Args:
-            z: shape (m,).
-            R: shape (m, m).
-            H: shape (m, 2 axes).
-            at_s: when the measurement was made.
-            sensitivities: of z to lasting errors, each of shape (m, k).
+        answer is that of ordered arrival. The sensitivities (m, k) are those of z to lasting errors.
 
         Raises:
             ValueError: it is too late (see `is_too_late`).

@@ -63,14 +63,9 @@ def solve(
     prediction, of these the ones of least covariance. Where ranges contradict each other and nothing tells which is wrong,
     there is no fix.
 
-    Args:
-        vehicle: whose fix it is.
-        circles: its ranges.
-        predicted: position (2,) and covariance (2, 2) expected, where to linearise; None linearises each three at its own fix.
-        height_variance_m2: of the vehicle's own height, common to all its circles.
-        min_flatness: least height over longest side of the peers' triangle.
-        nis_limit: largest NIS, one degree of freedom, of circles that meet in a point.
-
+    `predicted` is where the vehicle is expected, position (2,) and covariance (2, 2): there the ranges are linearised, without it
+    each three at their own fix. `height_variance_m2` is of the vehicle's own height, which all circles share. `min_flatness` is
+    the least that `flatness` of the peers may be, `nis_limit` the largest NIS of circles that meet in a point.
     """
     if len(circles) < 3:
         return f"ranges to {len(circles)} of the 3 peers that a fix needs"
@@ -242,14 +237,9 @@ def fix_of(
 
 
 def cofactor_diagonal(design: FloatArray) -> FloatArray:
-    """Return the diagonal of (G'G)^-1, infinite for each unknown that the rows of G leave undetermined.
+    """Return the diagonal (..., m) of (G'G)^-1, infinite for what G (..., n, m) leaves undetermined.
 
-    Args:
-        design: G, shape (..., n, m): n measurements of m unknowns. n may be less than m, or zero.
-
-    Returns:
-        shape (..., m), the variance of each unknown per unit variance of a measurement; never raises for its values.
-
+    It is the variance of each of m unknowns per unit variance of n measurements, which may be fewer, or none.
     """
     rows, unknowns = design.shape[-2:]
     if rows < unknowns:
@@ -271,14 +261,9 @@ def cofactor_diagonal(design: FloatArray) -> FloatArray:
 
 
 def horizontal_dilution(unit_vectors: FloatArray) -> FloatArray:
-    """Return the HDOP of ranges without a clock bias to a vehicle whose height is known by other means.
+    """Return the HDOP (...) of ranges without a clock bias to a vehicle of known height.
 
-    Args:
-        unit_vectors: shape (..., n, 2) or (..., n, 3), from each peer to the vehicle, of length 1 in the given dimensions.
-            Only east and north are used: a peer seen steeply above or below adds little to a horizontal position.
-
-    Returns:
-        shape (...): infinite where n < 2 or all horizontal directions are parallel. `float()` it for one geometry.
-
+    The unit vectors (..., n, 2) or (..., n, 3) are from each peer to the vehicle. Only east and north are used: a peer seen
+    steeply above or below adds little. It is infinite where n < 2 or all horizontal directions are parallel.
     """
     return np.asarray(np.sqrt(cofactor_diagonal(unit_vectors[..., :2]).sum(axis=-1)))

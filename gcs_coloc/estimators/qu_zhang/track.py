@@ -65,13 +65,8 @@ def threshold(probability: float, degrees_of_freedom: int) -> float:
 class PeerTrack:
     """The filters of one vehicle, and the sigmas that its receiver stated last.
 
-    Args:
-        density_m2ps3: spectral density of the horizontal acceleration.
-        vertical_density_m2ps3: of the vertical acceleration.
-        gate_probability: of accepting a consistent position.
-        gate_patience: refusals in a row before the covariance is inflated.
-        memory_s: how late a measurement may come.
-
+    The densities are those of white acceleration, the gate's values as `NisGate` has them. A measurement may be late by
+    `memory_s`.
     """
 
     def __init__(
@@ -127,17 +122,7 @@ class PeerTrack:
         velocity_sigma_mps: float = UNKNOWN_SPEED_SIGMA_MPS,
         sensitivities: Sensitivities = MappingProxyType({}),
     ) -> None:
-        """Begin the horizontal filter anew.
-
-        Args:
-            at_s: time of the position.
-            position_m: shape (2,).
-            covariance: shape (2, 2), m^2.
-            velocity_mps: shape (2,), or None where unknown.
-            velocity_sigma_mps: of each axis.
-            sensitivities: of the position to lasting errors, see `CvFilter`.
-
-        """
+        """Begin the horizontal filter anew from a position (2,) and a velocity (2,), None where unknown."""
         velocity = np.zeros(2) if velocity_mps is None else velocity_mps
         self.horizontal = CvFilter(
             at_s,

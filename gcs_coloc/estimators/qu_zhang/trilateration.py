@@ -7,8 +7,15 @@ With peers at (x_i, y_i), ranges rho_i and A = X^2 + Y^2, the three circles are 
     [-2 x_i, -2 y_i, 1] [X, Y, A]' = M_i = rho_i^2 - x_i^2 - y_i^2,   i = 1, 2, 3.
 
 The inverse of that matrix H is written with the barycentric coordinates lambda_i of the peers' triangle, which gives the same
-numbers without an inversion: the rows of H^-1 for X and Y are -1/2 times the gradients of lambda_i. All functions take stacks of
-geometries in their leading dimensions. Collinear peers give infinite or NaN results, never an error: ask `flatness` first.
+numbers without an inversion: the rows of H^-1 for X and Y are -1/2 times the gradients of lambda_i.
+
+All functions take stacks of geometries in their leading dimensions. Collinear peers give infinite or NaN results, never an error:
+ask `flatness` first. Their arguments:
+
+- `centres` (..., 3, 2): the peers, m; `centre_covariances` (..., 3, 2, 2): of these, m^2, independent of each other.
+- `squared_ranges` (..., 3), m^2: horizontal. Squares, because a slant range less a height difference is one directly.
+- `squared_range_covariance` (..., 3, 3): of these, m^4; for plane, independent ranges diag(4 rho_i^2 sigma_i^2).
+- `position` (..., 2): where to linearise, m.
 """
 
 from __future__ import annotations
@@ -23,16 +30,7 @@ from gcs_coloc.estimators.qu_zhang.track import UNKNOWN_SPEED_SIGMA_MPS, PeerTra
 
 
 def barycentric_gradients(points: FloatArray) -> FloatArray:
-    """Return how the barycentric coordinates of a triangle change with position.
-
-    Args:
-        points: shape (..., 3, 2), the corners.
-
-    Returns:
-        shape (..., 2, 3): d lambda_i / dx in the first row, d lambda_i / dy in the second; not finite
-        for a triangle without area.
-
-    """
+    """Return d lambda_i / dx and d lambda_i / dy, (..., 2, 3), of a triangle's corners (..., 3, 2)."""
     x, y = points[..., 0], points[..., 1]
     following, preceding = [1, 2, 0], [2, 0, 1]
     edge_x = x[..., preceding] - x[..., following]
@@ -47,16 +45,7 @@ def gains(centres: FloatArray) -> FloatArray:
 
 
 def trilaterate(centres: FloatArray, squared_ranges: FloatArray) -> FloatArray:
-    """Return the position from three squared horizontal ranges (Eq. 16-22).
-
-    Args:
-        centres: shape (..., 3, 2), the peers, m.
-        squared_ranges: shape (..., 3), m^2. Squares, because a slant range less a height difference is one directly.
-
-    Returns:
-        shape (..., 2), m.
-
-    """
+    """Return the position (..., 2), m, from three squared horizontal ranges (Eq. 16-22)."""
     # The origin is free; the peers' centroid keeps the squares small.
     origin = centres.mean(axis=-2)
     relative = centres - origin[..., np.newaxis, :]
@@ -70,12 +59,6 @@ def flatness(centres: FloatArray) -> FloatArray:
 
     It is 0 for collinear peers and 0.87 for an equilateral triangle. It is the conditioning of H made independent of units and of
     the origin.
-
-    Args:
-        centres: shape (..., 3, 2), m.
-
-    Returns:
-        shape (...).
     """
     longest_squared = (_sides(centres) ** 2).sum(axis=-1).max(axis=-1)
     return np.asarray(np.abs(_doubled_area(centres)) / np.maximum(longest_squared, np.finfo(np.float64).tiny))
@@ -89,20 +72,9 @@ def triangle_height_m(centres: FloatArray) -> FloatArray:
 def misclosure_covariance(
     centres: FloatArray, position: FloatArray, squared_range_covariance: FloatArray, centre_covariances: FloatArray
 ) -> FloatArray:
-    """Return the first-order covariance of the three circle equations' misclosures, m^4.
+    """Return the first-order covariance (..., 3, 3) of the three circle equations' misclosures, m^4.
 
     A peer that is off by delta shifts its equation by 2 (X - x_i)' delta.
-
-    Args:
-        centres: shape (..., 3, 2), the peers, m.
-        position: shape (..., 2), where to linearise, m.
-        squared_range_covariance: shape (..., 3, 3), of the squared horizontal ranges, m^4. For plane, independent ranges it is
-            diag(4 rho_i^2 sigma_i^2).
-        centre_covariances: shape (..., 3, 2, 2), of the peers' positions, m^2, independent of each other.
-
-    Returns:
-        shape (..., 3, 3).
-
     """
     offsets = position[..., np.newaxis, :] - centres
     from_peers = 4.0 * np.einsum("...ij,...ijk,...ik->...i", offsets, centre_covariances, offsets)
@@ -112,20 +84,10 @@ def misclosure_covariance(
 def corrected_covariance(
     centres: FloatArray, position: FloatArray, squared_range_covariance: FloatArray, centre_covariances: FloatArray
 ) -> FloatArray:
-    """Return the first-order covariance of `trilaterate` itself, with range noise and cross terms.
+    """Return the first-order covariance (..., 2, 2) of `trilaterate`, m^2, range noise included.
 
     For plane ranges it is the east-north block of H^-1 diag(4 rho_i^2 (sigma_i^2 + u_i' P_i u_i)) H^-T. It is singular where
     the trilateration is: for collinear peers.
-
-    Args:
-        centres: shape (..., 3, 2), the peers, m.
-        position: shape (..., 2), where to linearise, m.
-        squared_range_covariance: shape (..., 3, 3), m^4, as for `misclosure_covariance`.
-        centre_covariances: shape (..., 3, 2, 2), m^2.
-
-    Returns:
-        shape (..., 2, 2), m^2.
-
     """
     misclosures = misclosure_covariance(centres, position, squared_range_covariance, centre_covariances)
     solution = gains(centres)
@@ -135,20 +97,12 @@ def corrected_covariance(
 
 
 def published_covariance(centres: FloatArray, position: FloatArray, variances: FloatArray) -> FloatArray:
-    """Return the diagonal covariance that the paper gives the fix, to the letter (Eq. 23-26 and 32).
+    """Return the paper's covariance (..., 2, 2) of the fix: diag(A11, A22), m^2 (Eq. 23-26, 32).
 
     The error equation there has the rows [u_i, 1] with a clock bias that ranges between vehicles do not have, so that it is
     singular where two peers are seen in one direction and not where the trilateration is: it can be far from the real error.
-    Kept for comparison with the paper.
-
-    Args:
-        centres: shape (..., 3, 2), the peers, m.
-        position: shape (..., 2), the predicted position, m.
-        variances: shape (..., 3), s_i^2, m^2: in the paper those of the peers' filters alone, without the range noise.
-
-    Returns:
-        shape (..., 2, 2), m^2: diag(A11, A22).
-
+    Kept for comparison with the paper. `variances` (..., 3) are s_i^2, m^2: in the paper those of the peers' filters alone,
+    without the range noise.
     """
     offsets = position[..., np.newaxis, :] - centres
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -164,18 +118,9 @@ def misclosure(
     """Return what three circles leave over when they do not meet in one point, and its variance.
 
     Three ranges determine two coordinates: the third unknown A of the linear equations ought to be X^2 + Y^2, and by how much
-    it is not tells of a wrong range even when nothing else is known of the vehicle.
-
-    Args:
-        centres: shape (..., 3, 2), m.
-        squared_ranges: shape (..., 3), m^2.
-        fix: shape (..., 2), what `trilaterate` made of them, m.
-        misclosure_covariance: shape (..., 3, 3), from `misclosure_covariance`, m^4.
-
-    Returns:
-        A - X^2 - Y^2, shape (...), m^2, and its first-order variance, shape (...), m^4: their ratio is a NIS with one degree
-        of freedom.
-
+    it is not tells of a wrong range even when nothing else is known of the vehicle. Returned are A - X^2 - Y^2 (...), m^2, and
+    its first-order variance (...), m^4; its square over that is a NIS with one degree of freedom. `fix` is what `trilaterate`
+    made of the ranges.
     """
     relative = centres - fix[..., np.newaxis, :]
     gradients = barycentric_gradients(centres)
