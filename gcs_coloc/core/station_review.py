@@ -18,8 +18,7 @@ from gcs_coloc.core.stations.node_id import node_name, station_id_of
 from gcs_coloc.core.stations.station_survey import survey_notice, surveyed_station
 from gcs_coloc.core.stations.stations import Station, StationPosition
 
-_ORIGIN_AFTER_S = 10.0
-"""Chosen: a vehicle with GPS is healthy, and sets the fleet's origin, within so long after it is heard."""
+_ORIGIN_AFTER_S = 10.0  # chosen: a vehicle with GPS is healthy, and sets the fleet's origin, within so long after it is heard
 
 
 # Not frozen, as `VehicleSnapshot` is not: it is built many times a second.

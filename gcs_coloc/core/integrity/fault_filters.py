@@ -42,8 +42,7 @@ _CORRELATION_TIME_S = 30.0
 """Of a fault-free position error, s. Source: errors of GNSS positions are correlated for half a minute to minutes."""
 _ONSET_RATE_PER_S = 1.0 / 600.0
 """Rate at which a peer's fault begins, 1/s. Chosen: one in ten minutes, far oftener than in truth: it is looked for."""
-_END_RATE_PER_S = 1.0 / 3600.0
-"""Rate at which a fault ends, 1/s. Chosen: it lasts for an hour; what ended is found by its ranges."""
+_END_RATE_PER_S = 1.0 / 3600.0  # rate at which a fault ends, 1/s; chosen: it lasts for an hour; what ended is found by its ranges
 _ONSET_SIGMA_M = 1.0
 """1-sigma of a beginning fault's size along the line of sight, m. Chosen: a ramp begins small; a step is found at once."""
 _ONSET_RATE_SIGMA_MPS = 1.5
@@ -55,14 +54,10 @@ _DISPLACEMENT_DENSITY_M2PS = 4.0
 _RESET_AFTER_STEPS = 3
 """After so many steps in a row in which a filter explains less than half of the peers' residuals its displacement is unknown
 again. Chosen: one or two are outliers."""
-_HUBER_SIGMA = 1.5
-"""From so many sigmas on an innovation has bounded influence. Source: Huber's usual constant, 1.345 to 1.5."""
-_GATE_SIGMA = 3.0
-"""From so many sigmas on it has none. Chosen: one in 370 Gaussian ones."""
-_NOISE_TIME_S = 15.0
-"""Averaging time of the inflation of the measurement noise, s. Chosen: half of `_CORRELATION_TIME_S`."""
-_MAX_STEP_S = 3.0
-"""A peer without ranges for longer leaves the filters, s. Chosen: three windows of residuals."""
+_HUBER_SIGMA = 1.5  # from so many sigmas on an innovation has bounded influence. Source: Huber's usual constant, 1.345 to 1.5
+_GATE_SIGMA = 3.0  # from so many sigmas on it has none; chosen: one in 370 Gaussian ones
+_NOISE_TIME_S = 15.0  # averaging time of the inflation of the measurement noise, s; chosen: half of `_CORRELATION_TIME_S`
+_MAX_STEP_S = 3.0  # a peer without ranges for longer leaves the filters, s; chosen: three windows of residuals
 
 
 @dataclass(frozen=True, slots=True)

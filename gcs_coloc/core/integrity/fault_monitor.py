@@ -34,8 +34,7 @@ _MIN_NO_FAULT_PROBABILITY = 1e-4
 so it is to be rare."""
 _MAX_MISSED_PROBABILITY = 0.01
 """So many are detected that all others together are less likely than this. Chosen: one detection in a hundred may miss."""
-_MIN_PEERS = 3
-"""With fewer peers nothing is tested. Source: a place has two unknowns; two ranges leave no redundancy."""
+_MIN_PEERS = 3  # with fewer peers nothing is tested. Source: a place has two unknowns; two ranges leave no redundancy
 _FORGET_AFTER_S = 30.0  # chosen: the correlation time of a fault-free position error
 
 

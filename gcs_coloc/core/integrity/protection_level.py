@@ -29,8 +29,7 @@ _S_PER_H = 3600.0
 VERTICAL_RATIO = 1.6
 """Source: usual VDOP over HDOP of a receiver."""
 _NOMINAL_SHARE = 0.5  # of the integrity risk; chosen; the rest is for what may be wrong
-_LEVEL_STEP_M = 0.001
-"""Chosen: a level is at most this much too large."""
+_LEVEL_STEP_M = 0.001  # chosen: a level is at most this much too large
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,15 +35,12 @@ from gcs_coloc.core.stations.node_id import is_station
 _IDENTIFY_AFTER = 2
 """Independent samples in a row that isolate a vehicle before it is identified. Chosen: an outlier that lasts as long as a window
 is in one of them only."""
-_DETECT_AFTER = 2
-"""The same before vehicles among which the fault is not isolated are detected."""
-_DECAY_TIME_S = 2.0
-"""Solution separation decays over so long. Chosen: as an estimate forgets what displaced it."""
+_DETECT_AFTER = 2  # the same before vehicles among which the fault is not isolated are detected
+_DECAY_TIME_S = 2.0  # solution separation decays over so long; chosen: as an estimate forgets what displaced it
 _ALERT_S = 30.0
 """While a fault is identified or detected, and for so much longer, it decays over `_ALERT_DECAY_TIME_S`. Chosen: the correlation
 time of a fault-free position error."""
-_ALERT_DECAY_TIME_S = 10.0
-"""Chosen: what remains of a fault in the estimate is gone after two or three times as long."""
+_ALERT_DECAY_TIME_S = 10.0  # chosen: what remains of a fault in the estimate is gone after two or three times as long
 _DETECTION_HOLD_S = 20.0
 """A detection by the fault monitor lasts for so long. Chosen: it does not come and go while a fault grows slowly."""
 _HOLD_WINDOWS = 10.0  # without any test for so many windows a detection ends

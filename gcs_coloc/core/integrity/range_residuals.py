@@ -28,14 +28,12 @@ from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeas
 
 WINDOW_S = 1.0
 """A residual uses the ranges of so long, if these are `_ENOUGH_RANGES`. Chosen: five ranges at 5 Hz."""
-_MAX_WINDOW_S = 1.4
-"""Else those of so long. Chosen: five ranges at 5 Hz, of which one or two were lost."""
+_MAX_WINDOW_S = 1.4  # else those of so long; chosen: five ranges at 5 Hz, of which one or two were lost
 WAIT_S = 0.2
 """An epoch ends so long ago: positions need that time to arrive. Chosen: one period of reports at 5 Hz."""
 _ENOUGH_RANGES = 5  # chosen: the median of five bears two outliers
 _MIN_RANGES = 3  # chosen: the median of three bears one outlier; with fewer there is no residual
-_SPARSE_WINDOW_S = 3.0
-"""A sparse epoch takes any range of so long. Chosen: pairs that are ranged every second or two."""
+_SPARSE_WINDOW_S = 3.0  # a sparse epoch takes any range of so long; chosen: pairs that are ranged every second or two
 _MAX_POINTS = 64  # of a track: six seconds at 10 Hz
 _MAX_SAMPLES = 64  # of a pair
 _MAX_PENDING = 20_000  # chosen: bounds the memory of a flood

@@ -14,15 +14,13 @@ from gcs_coloc.core.measurements import Vector3
 _OVER_S = 5.0
 """A turn rate is that of so long. Chosen: gusts and noise of the velocity are within 0.01 rad/s of it, a plane's turn is 0.2."""
 _LEAST_SPAN_S = 2.0  # chosen: a turn rate from less is noise
-_LEAST_SPEED_MPS = 3.0
-"""Below it a vehicle has no course."""
+_LEAST_SPEED_MPS = 3.0  # below it a vehicle has no course
 _FORMATION_TURN_RADPS, _FORMATION_SPEED_MPS = 0.03, 3.0
 """Within these of each other two vehicles fly in formation. Chosen: three times what noise and gusts leave of a turn rate, and
 the sway of vehicles that keep their places; either, held for half a minute, tears a column of 300 m apart."""
 _LEAST_FORMATION_MPS = 6.0
 """Slower ones do not. Chosen: twice the sway, so that what stands still is in no formation with what moves."""
-_LEAST_TURN_RADPS = 1e-4
-"""Below it the way is straight: 3 mrad in half a minute."""
+_LEAST_TURN_RADPS = 1e-4  # below it the way is straight: 3 mrad in half a minute
 
 
 @dataclass(frozen=True, slots=True)

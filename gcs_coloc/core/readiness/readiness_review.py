@@ -28,22 +28,16 @@ EVERY_S = 10.0
 _SPACING_S = 0.8
 """Least time between two predictions, of any vehicles. Chosen: four reviews, so that each of 30 has its turn within
 24 s; with 15 ms each they take 2 % of a core."""
-_CONFIRMED_AFTER_S = 2.0
-"""A change of state counts after so long. Chosen: two predictions that agree."""
+_CONFIRMED_AFTER_S = 2.0  # a change of state counts after so long; chosen: two predictions that agree
 _RECOVERED_AFTER_S = 20.0
 """The same where readiness was lost in flight. Chosen: the alarm does not come and go at the edge of a limit."""
-_BEGUN_AFTER_S = 5.0
-"""A vehicle is predicted from so long after it was first heard. Chosen: its ranges are heard by then."""
+_BEGUN_AFTER_S = 5.0  # a vehicle is predicted from so long after it was first heard; chosen: its ranges are heard by then
 _TURNS_EVERY_S = 1.0
 """Velocities for turn rates are taken so often. Chosen: a plane turns by 12 degrees in a second, never by half a circle."""
-_FLYING_SPEED_MPS = 3.0
-"""Chosen: faster than a vehicle at rest seems to be, slower than any flight but a hover."""
-_FLYING_HEIGHT_M = 5.0
-"""Over where it was armed. Chosen: beyond the drift of a barometer on the ground."""
-_RANGES_KEPT_S = 10.0
-"""Chosen: two ranges of a pair at 0.2 Hz, the slowest that the fleet filter selects a peer by."""
-_MOST_RANGES = 600
-"""Ranges of one vehicle. Chosen: 10 s of six peers at 10 Hz; of more the last seconds tell the rates as well."""
+_FLYING_SPEED_MPS = 3.0  # chosen: faster than a vehicle at rest seems to be, slower than any flight but a hover
+_FLYING_HEIGHT_M = 5.0  # over where it was armed; chosen: beyond the drift of a barometer on the ground
+_RANGES_KEPT_S = 10.0  # chosen: two ranges of a pair at 0.2 Hz, the slowest that the fleet filter selects a peer by
+_MOST_RANGES = 600  # ranges of one vehicle; chosen: 10 s of six peers at 10 Hz; of more the last seconds tell the rates as well
 
 
 class RecentRanges:

@@ -12,20 +12,17 @@ from dataclasses import dataclass
 
 from gcs_coloc.core.standby.sign_of_life import PRESENT_S, OtherService
 
-_HEARD_WITHIN_S = 0.5
-"""Chosen: a vehicle sends its position ten times a second; one that is silent shows nothing."""
+_HEARD_WITHIN_S = 0.5  # chosen: a vehicle sends its position ten times a second; one that is silent shows nothing
 _PASSES_ON_AFTER = 3
 """Messages of the other's stream, after which their absence counts. Chosen: one may come by a detour that is no link."""
 _SLOWEST_REPORTS_S = 0.35
 """Time between two reports of the fed receiver. Chosen: of the 5 Hz that are requested of it one may be late."""
-_UNCHANGED_S = 0.15
-"""Chosen: an active service sends ten fixes a second; without one for so long a receiver is not fed."""
+_UNCHANGED_S = 0.15  # chosen: an active service sends ten fixes a second; without one for so long a receiver is not fed
 _LISTEN_S = 0.5
 """While the other one is silent a vehicle is watched for so long before it is fed anew. Chosen: five fixes of the other's."""
 _WANTED_S = 1.0
 """A vehicle that needs aid and is fed by nobody, before a standby takes over for it: twice as long as an active one waits."""
-_SENT_LATELY_S = 1.0
-"""Chosen: a vehicle that we fed so lately nobody else has begun to feed."""
+_SENT_LATELY_S = 1.0  # chosen: a vehicle that we fed so lately nobody else has begun to feed
 
 
 @dataclass(slots=True)

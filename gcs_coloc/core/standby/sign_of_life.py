@@ -135,8 +135,7 @@ FRESH_S = 0.5
 """An answer to a message of ours that is older than this counts for nothing. Chosen: far more than a LAN takes."""
 PRESENT_S = 1.0
 """Chosen: ten signs of life missed are a fault to be told of, fewer may be the network."""
-_KEPT_SIGNS = 100
-"""Chosen: the signs of ten seconds, of which only those of the last `FRESH_S` can be answered in time."""
+_KEPT_SIGNS = 100  # chosen: the signs of ten seconds, of which only those of the last `FRESH_S` can be answered in time
 
 
 class Heard(Enum):

@@ -44,22 +44,14 @@ STILL_S = 0.2
 """Who has stood still for longer may not send. Less than `SILENT_S`, so that it has ended before the other one begins."""
 SILENT_S = 0.3
 """Chosen: three signs of life. With the next fix 0.1 s later a vehicle misses four fixes, less than 0.5 s."""
-_START_S = 1.0
-"""Chosen: ten signs of life; the one with the higher component id listens twice as long."""
-_CHECK_S = 1.0
-"""How long who stood still waits for an answer. Longer than a take-over takes to show at a vehicle."""
-_NOBODY_S = 1.5
-"""Before one of two that both follow takes over. Longer than an offer holds (`_OFFER_S` and `FRESH_S`)."""
-_OFFER_S = 0.4
-"""For so long the other one is offered to take over. Chosen: four signs of life, so that one gets through."""
-_REQUEST_S = 2.0
-"""For so long the other one is asked to give way. Chosen: an operator waits no longer for an answer."""
-_STOOD_BACK_S = 1.0
-"""Chosen: the one that goes on has the time to show it; twice as long for the higher component id."""
-_IN_FLIGHT_S = 0.1
-"""What was sent before a take-over may arrive so long after it. Chosen: it was sent `SILENT_S` before."""
-_JUST_AFTER_S = 1e-3
-"""Chosen: far more than the clock's resolution."""
+_START_S = 1.0  # chosen: ten signs of life; the one with the higher component id listens twice as long
+_CHECK_S = 1.0  # how long who stood still waits for an answer. Longer than a take-over takes to show at a vehicle
+_NOBODY_S = 1.5  # before one of two that both follow takes over. Longer than an offer holds (`_OFFER_S` and `FRESH_S`)
+_OFFER_S = 0.4  # for so long the other one is offered to take over; chosen: four signs of life, so that one gets through
+_REQUEST_S = 2.0  # for so long the other one is asked to give way; chosen: an operator waits no longer for an answer
+_STOOD_BACK_S = 1.0  # chosen: the one that goes on has the time to show it; twice as long for the higher component id
+_IN_FLIGHT_S = 0.1  # what was sent before a take-over may arrive so long after it; chosen: it was sent `SILENT_S` before
+_JUST_AFTER_S = 1e-3  # chosen: far more than the clock's resolution
 
 
 class StandbyPeer:

@@ -28,33 +28,23 @@ from gcs_coloc.core.measurements import FloatArray, PositionMeasurement, RangeMe
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.core.stations.stations import MAX_STATIONS, Station, StationPosition, StationSource
 
-_LEAST_MOVED_M = 5.0
-"""Chosen: ranges from one place have the same errors; a vehicle that hovers adds nothing."""
+_LEAST_MOVED_M = 5.0  # chosen: ranges from one place have the same errors; a vehicle that hovers adds nothing
 _MOST_SAMPLES = 120
 """Of a station. Chosen: a solution takes some 7 ms, well within the fifth of a second between reviews, and the lasting errors of
 ranges and receivers, not the number, bound what is known."""
 _LEAST_SAMPLES = 12  # chosen: four unknowns, three samples of each
-_MANY_SAMPLES = 100
-"""Chosen: half a kilometre of a flight; who has flown so far without an answer is told why."""
-_MORE = 1.25
-"""A solution is sought anew with a quarter more samples. Chosen: it costs milliseconds, and fewer say little more."""
-_REPORT_AGE_S = 1.0
-"""Chosen: a position is carried on by its velocity no longer, as half a g for a second is 2.5 m."""
-_BIAS_SIGMA_M = 1.0
-"""Chosen: antenna delays of uncalibrated radios are some decimetres, of others a metre."""
+_MANY_SAMPLES = 100  # chosen: half a kilometre of a flight; who has flown so far without an answer is told why
+_MORE = 1.25  # a solution is sought anew with a quarter more samples; chosen: it costs milliseconds, and fewer say little more
+_REPORT_AGE_S = 1.0  # chosen: a position is carried on by its velocity no longer, as half a g for a second is 2.5 m
+_BIAS_SIGMA_M = 1.0  # chosen: antenna delays of uncalibrated radios are some decimetres, of others a metre
 _HUBER_SIGMAS = 2.0  # chosen: as in calibration
 _DIRECTIONS, _STEPS = 8, 15  # chosen: a start every 45 degrees
-_HEIGHTS = (-1.0, 0.0, 1.0)
-"""Starts of the search: around the vehicles at their median range, and as far beneath and above."""
+_HEIGHTS = (-1.0, 0.0, 1.0)  # starts of the search: around the vehicles at their median range, and as far beneath and above
 _SAME_PLACE_SIGMAS = 3.0  # chosen: one equal place in a hundred is held for two
-_OTHER_PLACE_COST = 12.0
-"""Chosen: a likelihood ratio of 400; a place that fits so much worse is ruled out."""
-_MOST_SIGMA_M = 10.0
-"""Chosen: a coarser place than that of a receiver without corrections, three times over, helps nobody."""
-_LEAST_INFORMATION_PER_M2 = 1e-8
-"""So that a place that nothing holds has a covariance, too large to be told."""
-_BETTER = 0.5
-"""Chosen: a survey is told anew when its sigma has halved, and not at each range."""
+_OTHER_PLACE_COST = 12.0  # chosen: a likelihood ratio of 400; a place that fits so much worse is ruled out
+_MOST_SIGMA_M = 10.0  # chosen: a coarser place than that of a receiver without corrections, three times over, helps nobody
+_LEAST_INFORMATION_PER_M2 = 1e-8  # so that a place that nothing holds has a covariance, too large to be told
+_BETTER = 0.5  # chosen: a survey is told anew when its sigma has halved, and not at each range
 
 
 class SurveyProblem(StrEnum):

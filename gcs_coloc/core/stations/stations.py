@@ -29,8 +29,7 @@ LEAST_STATION_SIGMA_M, MOST_STATION_SIGMA_M = 0.01, 1000.0
 MAX_STATIONS = 256
 """Chosen: more than a site has; bounds what forged messages may fill."""
 _TOLD_EVERY_S = 60.0  # chosen: a reminder now and then
-_MAX_TOLD = 256
-"""Chosen: the same remedy once a minute, and bounded in memory."""
+_MAX_TOLD = 256  # chosen: the same remedy once a minute, and bounded in memory
 _CONTRADICTS_SIGMAS, _CONTRADICTS_M = 3.0, 1.0
 """Chosen: farther than three sigmas of both positions and than rounding they are two places."""
 

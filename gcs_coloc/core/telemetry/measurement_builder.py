@@ -45,8 +45,7 @@ class _Vehicle:
     ranges: RangeMemory = field(default_factory=RangeMemory)
 
 
-_UNHEARD = _Vehicle()
-"""What is kept of a vehicle that was not heard: read, never written."""
+_UNHEARD = _Vehicle()  # what is kept of a vehicle that was not heard: read, never written
 
 
 class MeasurementBuilder:

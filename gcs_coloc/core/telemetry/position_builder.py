@@ -23,16 +23,11 @@ _OVER_S = 5.0 * _SETTLES_S
 _HELD_S = 5.0
 """In another flight it jumped by 4.5 m, stayed there for 4 s and jumped back (docs/results/real-autopilots.md). Only of a vehicle
 that is trusted again a jump is held for so long: of another one it may be a spoofer's, to be found at once."""
-_TAKEN_AGAIN_S = 10.0
-"""Chosen: GPS_PRIMARY is restored once a vehicle is trusted again, and tried again for some seconds."""
-_MOST_M = 10.0
-"""Chosen: the accuracy of a receiver alone. More would blind the tests that find a faulty receiver."""
-_TIMES_USUAL = 4.0
-"""Chosen: of errors that are independent from report to report one in ten million is as large."""
-_REMEMBERED_S = 20.0
-"""Chosen: the noise of reports is learned anew within some turns."""
-_LONGEST_GAP_S = 1.5
-"""Chosen: reports at 1 Hz, a little late. Over a longer gap a turn looks like a jump."""
+_TAKEN_AGAIN_S = 10.0  # chosen: GPS_PRIMARY is restored once a vehicle is trusted again, and tried again for some seconds
+_MOST_M = 10.0  # chosen: the accuracy of a receiver alone. More would blind the tests that find a faulty receiver
+_TIMES_USUAL = 4.0  # chosen: of errors that are independent from report to report one in ten million is as large
+_REMEMBERED_S = 20.0  # chosen: the noise of reports is learned anew within some turns
+_LONGEST_GAP_S = 1.5  # chosen: reports at 1 Hz, a little late. Over a longer gap a turn looks like a jump
 
 
 class ReceiverAccuracy(NamedTuple):

@@ -21,12 +21,10 @@ from gcs_coloc.estimators.fleet.search.position_search import PositionSearch
 from gcs_coloc.estimators.fleet.searched_vehicles import predicted_search
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
-_STEP_BACK_MOST_S = 2.0
-"""Chosen: further back the prediction with negative steps does not hold."""
+_STEP_BACK_MOST_S = 2.0  # chosen: further back the prediction with negative steps does not hold
 _LIMIT_SHARE = (BOUND_95_SIGMAS / FAR_SIGMAS) ** 2
 """What a vehicle can do is a limit: its 95 % bound is that of the protection level as well."""
-_STATED = np.eye(6, SIZE)
-"""Position and velocity of a vehicle's block."""
+_STATED = np.eye(6, SIZE)  # position and velocity of a vehicle's block
 
 
 def estimate_of_cluster(cluster: Cluster, vehicle: int, at_s: float) -> Estimate | NoEstimate:

@@ -48,10 +48,8 @@ from gcs_coloc.estimators.fleet.range_biases import PairBias
 from gcs_coloc.estimators.fleet.searched_vehicles import is_searching, predicted_search, search_with_range
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
-_PRUNE_EVERY_S = 5.0
-"""Chosen: pruning walks over all vehicles."""
-_REPORTS_REFUSED_MOST = 10
-"""Chosen: reports refused in a row agree with each other, not with the filter: a second at 10 Hz."""
+_PRUNE_EVERY_S = 5.0  # chosen: pruning walks over all vehicles
+_REPORTS_REFUSED_MOST = 10  # chosen: reports refused in a row agree with each other, not with the filter: a second at 10 Hz
 UNDERSTATED = 1.8
 """Observed scatter over stated sigma from which on a device counts as optimistic: multipath of a tenth of the ranges, which the
 gate weighs one by one, looks like up to 1.8 times the noise."""

@@ -25,12 +25,9 @@ from gcs_coloc.estimators.fleet.ekf.records import Neighbour, VehicleRecord
 from gcs_coloc.estimators.fleet.search.position_search import is_too_wide
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
-_UNSHOWN_NIS = 9.0
-"""Chosen: three sigmas; few ranges after a gap without an unusual manoeuvre are beyond."""
-_TOLD_SIGMA_M = 5.0
-"""Chosen: ranges tell of a direction along which the last of each neighbour know the position this well."""
-_TOLD_RATIO = 3.0
-"""Chosen: and of one along which they are so much coarser at most; where all are coarse, no gap is the cause."""
+_UNSHOWN_NIS = 9.0  # chosen: three sigmas; few ranges after a gap without an unusual manoeuvre are beyond
+_TOLD_SIGMA_M = 5.0  # chosen: ranges tell of a direction along which the last of each neighbour know the position this well
+_TOLD_RATIO = 3.0  # chosen: and of one along which they are so much coarser at most; where all are coarse, no gap is the cause
 _NOTHING: Motion = (0.0, 0.0, 0.0)
 _TOO_FEW, _TOO_FEW_WITHOUT_HEIGHT = 1, 2
 """So many neighbours leave a direction open: the vehicle may be anywhere on the circle of their ranges."""

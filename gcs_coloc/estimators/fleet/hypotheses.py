@@ -47,16 +47,11 @@ from gcs_coloc.estimators.fleet.reflection_hypothesis import (
 from gcs_coloc.estimators.fleet.searched_vehicles import search_of, search_with
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
-_TEST_EVERY_S = 0.25
-"""Chosen: a reflection develops over seconds; a test costs about as much as an update."""
-_GAP_S = 1.0
-"""Chosen: after a gap of this length the estimate is saved to test the side that the next ranges confirm."""
-_DECIDED_LOG_ODDS = 12.0
-"""Chosen: odds of 160,000; a wrong decision is confident and lasts."""
-_STATED_LOG_ODDS = 6.0
-"""Chosen: odds of 400; below them two places that are apart are no estimate but ambiguous."""
-_APART_NIS = 16.0
-"""Chosen: as the gate; half way between two places their mean is beyond it for both."""
+_TEST_EVERY_S = 0.25  # chosen: a reflection develops over seconds; a test costs about as much as an update
+_GAP_S = 1.0  # chosen: after a gap of this length the estimate is saved to test the side that the next ranges confirm
+_DECIDED_LOG_ODDS = 12.0  # chosen: odds of 160,000; a wrong decision is confident and lasts
+_STATED_LOG_ODDS = 6.0  # chosen: odds of 400; below them two places that are apart are no estimate but ambiguous
+_APART_NIS = 16.0  # chosen: as the gate; half way between two places their mean is beyond it for both
 _MOST_HYPOTHESES = 16
 """Chosen: bounds the computing; with so many none is opened for several vehicles together. Five near one line had seven."""
 

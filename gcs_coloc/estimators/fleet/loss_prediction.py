@@ -53,8 +53,7 @@ _BARO = slice(BARO_ERROR, BARO_ERROR + 1)
 _LONGEST_STEP_S, _LAST_STEP_S = 5.0, 0.7
 """Steps are halved towards the horizon: what was measured long before it tells of what lasts alone. Chosen: nine of them, with
 sigmas 1 to 4 % below those of steps of 0.25 s; ten equal ones make them 10 % too small."""
-_TESTED_RANGES = 25
-"""The newest ranges of a pair, which tell its noise. Chosen: its sigma is then known to a fifth."""
+_TESTED_RANGES = 25  # the newest ranges of a pair, which tell its noise; chosen: its sigma is then known to a fifth
 _STEADY_GAIN = 2.47
 """Mean of the gain of eq. (9) in steady flight: of max(r^2, 1), where 2 r is chi-square of two degrees of freedom."""
 _STEADY = ManoeuvreDetector(c_e=math.sqrt(2.0 * math.sqrt(_STEADY_GAIN)), C_ee=1.0, C_nn=1.0, C_uu=1.0)

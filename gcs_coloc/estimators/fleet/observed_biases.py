@@ -17,10 +17,8 @@ from gcs_coloc.estimators.fleet.settings import FleetSettings
 _MOST_OF_A_DEVICE = 2.0
 _MOST_OF_A_PAIR = 0.7
 """Chosen: the most that unknown biases are of a stated sigma: 0.7 to 2.8 and 0.4 to 1.4 in the sets behind the settings."""
-_TELLING_SIGMAS = 4.0
-"""Chosen: a bias below a quarter of the noise is below what else lasts: the errors of the peers' receivers."""
-_HEIGHT_FRESH_S = 1.5
-"""Chosen: heights at 1 Hz, one of which may be late."""
+_TELLING_SIGMAS = 4.0  # chosen: a bias below a quarter of the noise is below what else lasts: the errors of the peers' receivers
+_HEIGHT_FRESH_S = 1.5  # chosen: heights at 1 Hz, one of which may be late
 
 
 def observe_bias(cluster: Cluster, vehicle: int, other: int, m: RangeMeasurement, white_m: float, coloured_m: float) -> None:

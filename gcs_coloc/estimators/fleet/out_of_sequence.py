@@ -18,10 +18,8 @@ Key = tuple[float, ...]
 Event = TypeVar("Event")
 _COPY_EVERY_S = 0.1
 """Chosen: a copy costs about as much as two updates, a replay at most 0.1 s of measurements."""
-_COPY_SOONER_S = 0.05
-"""Chosen: the same where the newest event does not wait for the copy."""
-_CLOSE_COPIES = 4
-"""Chosen: so many of the newest copies stand close together: most late events are late by little."""
+_COPY_SOONER_S = 0.05  # chosen: the same where the newest event does not wait for the copy
+_CLOSE_COPIES = 4  # chosen: so many of the newest copies stand close together: most late events are late by little
 
 
 class Replayable(Protocol):

@@ -10,14 +10,10 @@ import numpy as np
 from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray
 from gcs_coloc.estimators.fleet.ekf.cluster import ClusterSet
 
-_SELECT_EVERY_S = 2.0
-"""Chosen: each change costs correlations; geometry changes little in 2 s."""
-_STAY_BONUS = 1.2
-"""Chosen: a new peer has to lower the variance by a fifth more than one in use."""
-_SHARED_BONUS = 1.5
-"""Chosen: a peer in use by another denied vehicle saves 16 states."""
-_PRIOR_INFORMATION = 1e-3
-"""Chosen: makes the cofactor matrix regular; small against one range, whose information is 1."""
+_SELECT_EVERY_S = 2.0  # chosen: each change costs correlations; geometry changes little in 2 s
+_STAY_BONUS = 1.2  # chosen: a new peer has to lower the variance by a fifth more than one in use
+_SHARED_BONUS = 1.5  # chosen: a peer in use by another denied vehicle saves 16 states
+_PRIOR_INFORMATION = 1e-3  # chosen: makes the cofactor matrix regular; small against one range, whose information is 1
 
 
 def is_selected(clusters: ClusterSet, denied_vehicle: int, other: int, at_s: float) -> bool:

@@ -23,21 +23,14 @@ import numpy as np
 
 from gcs_coloc.core.measurements import FloatArray
 
-_WINDOW_S = 1.0
-"""Chosen: within a second a vehicle's path is a parabola; ranges to several peers at 5 Hz are enough for it."""
-_CORRELATED_WINDOWS = 5.0
-"""Chosen: multipath of one window is in the next ones too; five of them say no more than one."""
-_MEMORY_S = 1200.0
-"""Chosen: a bias changes with temperature and the attitude of the antenna; twenty minutes are one flight."""
-_TEST_EVERY = 4
-"""Chosen: windows between two tests, each of which costs a fifth of a millisecond."""
+_WINDOW_S = 1.0  # chosen: within a second a vehicle's path is a parabola; ranges to several peers at 5 Hz are enough for it
+_CORRELATED_WINDOWS = 5.0  # chosen: multipath of one window is in the next ones too; five of them say no more than one
+_MEMORY_S = 1200.0  # chosen: a bias changes with temperature and the attitude of the antenna; twenty minutes are one flight
+_TEST_EVERY = 4  # chosen: windows between two tests, each of which costs a fifth of a millisecond
 _LEAST_WINDOWS = 8  # chosen: two tests; of fewer windows a slow error looks like a lasting one
-_MOST_SAMPLES = 256
-"""Chosen: bounds the cost of a window; eight peers at 32 Hz."""
-_FOUND_LOG_RATIO = 12.0
-"""Chosen: odds of 160,000 that there is a bias; as the odds that decide between two sides of the peers."""
-_LOST_LOG_RATIO = 3.0
-"""Chosen: below it a bias that was found is no longer believed."""
+_MOST_SAMPLES = 256  # chosen: bounds the cost of a window; eight peers at 32 Hz
+_FOUND_LOG_RATIO = 12.0  # chosen: odds of 160,000 that there is a bias; as the odds that decide between two sides of the peers
+_LOST_LOG_RATIO = 3.0  # chosen: below it a bias that was found is no longer believed
 _SIGMAS_M = (0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0, 4.0)
 """Chosen: biases from half a wavelength of ultra-wideband to uncalibrated devices, each twice the one before."""
 _LEAST_OBSERVED = 0.1
@@ -46,16 +39,12 @@ _GRID_M = [(device_m, pair_m) for device_m in _SIGMAS_M for pair_m in _SIGMAS_M]
 """Sigmas of the bias of a device and of that of each pair; the first is none."""
 _CHANGES = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)
 """How large the errors of pairs may be, as multiples of what is presumed; chosen: up to 0.56 m, twice those among obstacles."""
-_CHANGE_LOG_RATIO = 3.0
-"""Chosen: odds of twenty; that errors are larger than presumed costs no more than a wider bound."""
+_CHANGE_LOG_RATIO = 3.0  # chosen: odds of twenty; that errors are larger than presumed costs no more than a wider bound
 _NO_HEIGHT_M2 = 1e-9  # chosen: far below the variance of any range
-_MOST_PAIRS = 24
-"""Chosen: bounds the cost; as three times the peers in use."""
+_MOST_PAIRS = 24  # chosen: bounds the cost; as three times the peers in use
 _DIFFUSE_M = 1e3  # chosen: far beyond the lasting error of any range
-_ROUNDS = 3
-"""Rounds of Gauss-Newton; chosen: the third changes nothing unless the start was metres off."""
-_ACCELERATION_SIGMAS = 3.0
-"""Chosen: the largest acceleration of a vehicle is three sigmas of it."""
+_ROUNDS = 3  # rounds of Gauss-Newton; chosen: the third changes nothing unless the start was metres off
+_ACCELERATION_SIGMAS = 3.0  # chosen: the largest acceleration of a vehicle is three sigmas of it
 
 
 Ranged = tuple[int, int]

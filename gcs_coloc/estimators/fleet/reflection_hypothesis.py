@@ -16,14 +16,10 @@ from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
 from gcs_coloc.estimators.fleet.fleet_model import FleetModel
 
-_MOST_NIS = 20.0
-"""Chosen: bounds the evidence of one measurement: an outlier of both models says little."""
-_MERGED_NIS = 0.5
-"""Chosen: hypotheses closer than 0.7 sigma of six components are merged."""
-_MANOEUVRE_S = 3.0
-"""Chosen: an unmodelled manoeuvre is in all innovations of so long; they are one piece of evidence."""
-_MOST_OF_MOTION = 3.0
-"""Chosen: bounds the log odds that one such manoeuvre contributes."""
+_MOST_NIS = 20.0  # chosen: bounds the evidence of one measurement: an outlier of both models says little
+_MERGED_NIS = 0.5  # chosen: hypotheses closer than 0.7 sigma of six components are merged
+_MANOEUVRE_S = 3.0  # chosen: an unmodelled manoeuvre is in all innovations of so long; they are one piece of evidence
+_MOST_OF_MOTION = 3.0  # chosen: bounds the log odds that one such manoeuvre contributes
 
 
 class RelativeSide(Enum):

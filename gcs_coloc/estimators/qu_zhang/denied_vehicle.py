@@ -102,8 +102,7 @@ def lasting_covariance(sensitivities: Sensitivities, lasting: dict[int, FloatArr
 _PARTNER_MEMORY_S = 2.0
 """An epoch waits for a peer that was ranged within this time. Chosen: twice the period of slow ranging, 1 Hz."""
 
-_OPEN_LIMIT = 64
-"""Most epochs open at a time; the oldest are closed beyond. Chosen: bounds memory, 20 Hz for three seconds."""
+_OPEN_LIMIT = 64  # most epochs open at a time; the oldest are closed beyond; chosen: bounds memory, 20 Hz for three seconds
 
 
 @dataclass(slots=True, eq=False)

@@ -78,8 +78,7 @@ class QuZhangOutcome(StrEnum):
 PAPER_STEP_S = 0.02
 """The paper's computing cycle, to which its q belongs (it prints 0.02 ms, which only 50 Hz makes sense of)."""
 
-_IN_USE_S = 2.0
-"""Ranges count as in use for this long after their fix. Chosen: two epochs at 1 Hz."""
+_IN_USE_S = 2.0  # ranges count as in use for this long after their fix; chosen: two epochs at 1 Hz
 
 _RESIDUALS_KEPT = 2000  # chosen: bounds the memory where nobody drains them; those of a minute of eight peers at 4 Hz
 

@@ -23,8 +23,7 @@ from gcs_coloc.estimators.qu_zhang.settings import QuZhangSettings
 from gcs_coloc.estimators.qu_zhang.track import PeerTrack, threshold
 from gcs_coloc.estimators.qu_zhang.trilateration import Circle, make_circle
 
-_CANDIDATES = 8
-"""Among more peers the tightest eight are tried: 56 triples, and nothing to gain from the others."""
+_CANDIDATES = 8  # among more peers the tightest eight are tried: 56 triples, and nothing to gain from the others
 
 _HEIGHT_TO_SIGMA = 5.0
 """A triangle of peers is a triangle only if its height stands out of the peers' own uncertainty; below, the first-order

@@ -18,8 +18,7 @@ from gcs_coloc.estimators.qu_zhang.cv_filter import CvFilter, Sensitivities, nis
 
 UNKNOWN_SPEED_SIGMA_MPS = 30.0
 """1-sigma of each axis of an unknown velocity. Chosen: any aircraft that ranges between vehicles are used for."""
-_UNKNOWN_CLIMB_SIGMA_MPS = 5.0
-"""1-sigma of an unknown climb rate. Chosen: the climb limit of small aircraft."""
+_UNKNOWN_CLIMB_SIGMA_MPS = 5.0  # 1-sigma of an unknown climb rate; chosen: the climb limit of small aircraft
 _INFLATION = 4.0
 """Of the covariance. Chosen: it doubles the standard deviation, so ten refusals cover an error of a thousand sigmas."""
 

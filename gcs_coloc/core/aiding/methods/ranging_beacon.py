@@ -25,10 +25,8 @@ PERIOD_S = 0.07
 """Chosen: the shortest round period above that; 14 ranges a second, three peers at 5 Hz."""
 _LONGEST_AGE_S = 0.2
 """Chosen: EKF2's horizon lies 0.2 s back (EKF2_DELAY_MAX), and a sample that comes much later than it is never fused."""
-_OLDEST_S = 1.0
-"""Chosen: an older range is worth less than the next one."""
-_HANDED_S = 2.0
-"""Chosen: for so long after the last message ranges count as being handed over."""
+_OLDEST_S = 1.0  # chosen: an older range is worth less than the next one
+_HANDED_S = 2.0  # chosen: for so long after the last message ranges count as being handed over
 _VEHICLE_IDS_FROM = 256  # chosen: above the 8-bit ids of ground stations
 _VEHICLE_IDS = MAX_STATION_ID + 1 - _VEHICLE_IDS_FROM
 """How many beacon_id are left for vehicles. Vehicle N has `_VEHICLE_IDS_FROM` + N, so that it is not taken for a station.
@@ -36,10 +34,8 @@ EKF2 does not tell beacons apart."""
 _STOPPING = (InhibitReason.RANGES_INCONSISTENT, InhibitReason.RANGES_JUMPED)
 """While the ranges themselves may be wrong none is handed over; every other reason concerns the position alone."""
 _LEAST_DISTANCE_M = 1.0  # below it the direction of a range is noise
-_MAX_WAITING = 4096
-"""Chosen: some seconds of a large fleet; the estimator tells of a range within its window."""
-_MAX_READY = 64
-"""Chosen: of one vehicle, more than is handed over in a second."""
+_MAX_WAITING = 4096  # chosen: some seconds of a large fleet; the estimator tells of a range within its window
+_MAX_READY = 64  # chosen: of one vehicle, more than is handed over in a second
 
 
 class RangingBeaconMethod(AidingMethod):

@@ -23,8 +23,7 @@ MIN_SIGMA_M = 0.01
 """Smallest 1-sigma of a position and smallest distance. Chosen: below GNSS and ranging, above rounding."""
 MIN_INFORMATION_PER_M2 = 1e-9
 """Information of a coordinate without prior: a 1-sigma of 30 km. Chosen: less costs digits of the adjustment."""
-_LARGEST_SIGMA_V_M = 10.0
-"""Of a height without prior in an adjustment. Chosen: a free one would cost each range its information."""
+_LARGEST_SIGMA_V_M = 10.0  # of a height without prior in an adjustment; chosen: a free one would cost each range its information
 PERIOD_S = 0.2
 """Tests run so often. Chosen: as often as ranges and positions come."""
 INTERVALS_S = (2.0, 5.0, 12.0)
@@ -33,8 +32,7 @@ the last."""
 CORRELATION_TIME_S = 30.0
 """A fault-free position error is a Gauss-Markov process of this time. Source: errors of GNSS positions are correlated for half a
 minute to minutes."""
-_TOLERANCE_S = 0.3
-"""So far an earlier epoch may be from the time that is wanted. Chosen: one and a half periods."""
+_TOLERANCE_S = 0.3  # so far an earlier epoch may be from the time that is wanted; chosen: one and a half periods
 
 RANGE_BIAS_M = 0.3
 """1-sigma of the error that all ranges of a pair share. Source: lasting biases of 0.16 to 0.35 m in public ultra-wideband

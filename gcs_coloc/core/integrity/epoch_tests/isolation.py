@@ -42,8 +42,7 @@ MAX_CANDIDATES = 8
 MAX_SUBSET = 4
 """So many of them at most. Chosen: with eight candidates that is half of them."""
 _ALIKE_PENALTY = 3.2  # twice the log of 5: chosen, so much rarer is each further receiver spoofed alike; of four below the margin
-_UNLIKE_PENALTY = 13.8
-"""Twice the log of 1000: chosen, so much rarer two receivers are off at once, each its own way."""
+_UNLIKE_PENALTY = 13.8  # twice the log of 1000: chosen, so much rarer two receivers are off at once, each its own way
 _LEAST_WITH_TWO_FAULTY = 4  # receivers of which two are no majority
 _STATION_PENALTY = 9.2  # twice the log of 100: chosen, so much rarer a station stands elsewhere than a receiver fails
 _SELF_REPORTED_PENALTY = 13.8  # twice the log of 1000: chosen, so much likelier at fault is who reports trouble himself

@@ -36,8 +36,7 @@ _SMALLER_EVERY_S = 1.0  # chosen: one window of ranges
 _SMALLER_WINDOWS = 10
 """Windows in a row in which a smaller noise is clearly likelier before it counts. Chosen: lasting errors show in each of them."""
 _EVERY_S = 5.0  # chosen: bounds the cost, up to seventeen likelihoods; positions err for longer
-_FIRST_LOG_ODDS = -2.0 * log(100.0)
-"""Chosen: the receivers of one fleet in a hundred state half of their error."""
+_FIRST_LOG_ODDS = -2.0 * log(100.0)  # chosen: the receivers of one fleet in a hundred state half of their error
 _LEAST_LOG_ODDS = 2.0 * _FIRST_LOG_ODDS
 """Chosen: what a long sound flight shows is not held against a receiver whose sky is shaded later."""
 

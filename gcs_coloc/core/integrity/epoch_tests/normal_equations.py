@@ -19,8 +19,7 @@ from gcs_coloc.core.measurements import FloatArray
 
 RANK_TOLERANCE = 1e-6  # smallest over largest eigenvalue that counts as not zero; chosen: far above rounding
 _NEWTON_STEPS = 4  # chosen: bounds the time of an adjustment that diverges
-_CURVATURE_SHARE = 0.05
-"""Chosen: what the curvature of a range may be of its sigma. It adds a 400th to the variance."""
+_CURVATURE_SHARE = 0.05  # chosen: what the curvature of a range may be of its sigma. It adds a 400th to the variance
 
 
 class NormalEquations:

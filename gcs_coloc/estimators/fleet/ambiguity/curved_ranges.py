@@ -24,20 +24,15 @@ from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.state import POSITION, Key
 
-_STRAIGHT_SHARE = 0.1
-"""Chosen: a slope that changes by less than this share within a sigma is as good as straight."""
-_NEAR_SIGMAS = 2.0
-"""Chosen: of the 95 % of one direction, which is what the ranges leave open."""
+_STRAIGHT_SHARE = 0.1  # chosen: a slope that changes by less than this share within a sigma is as good as straight
+_NEAR_SIGMAS = 2.0  # chosen: of the 95 % of one direction, which is what the ranges leave open
 FAR_SIGMAS = 6.0
 """Chosen: a little more than the 5.7 of the nominal protection level."""
 _MOST_SIGMAS = 20.0
 """Chosen: bounds the search; what is so much further out than stated, hypotheses or the limit of the estimate tell."""
-_STEPS = 81
-"""Chosen: steps of a quarter of a sigma."""
-_MOVES_ALONG = 0.25
-"""Chosen: another denied vehicle that moves by less of an offset is as any peer, with its uncertainty."""
-_LEAST_DISTANCE_M = 1.0
-"""Bounds the curvature of a range to a peer that is close."""
+_STEPS = 81  # chosen: steps of a quarter of a sigma
+_MOVES_ALONG = 0.25  # chosen: another denied vehicle that moves by less of an offset is as any peer, with its uncertainty
+_LEAST_DISTANCE_M = 1.0  # bounds the curvature of a range to a peer that is close
 _STEP_SIGMAS = np.linspace(0.0, _MOST_SIGMAS, _STEPS)
 _OFFSET_SIGMAS = np.concatenate([_STEP_SIGMAS, -_STEP_SIGMAS])
 

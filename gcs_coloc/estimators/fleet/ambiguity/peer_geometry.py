@@ -25,8 +25,7 @@ SEPARATED = 2.0
 """Chosen: squared normalised difference of the measurements between the two sides from which on they decide by themselves."""
 LEAST_SIGMA_M = 1e-3
 """Bounds variances away from zero."""
-_LEAST_DISTANCE_M = 1.0
-"""Bounds the distances that slopes are divided by."""
+_LEAST_DISTANCE_M = 1.0  # bounds the distances that slopes are divided by
 
 
 class PeerGeometry:

@@ -33,22 +33,16 @@ from gcs_coloc.estimators.fleet.settings import FleetSettings
 _CUSUM_REFUSED = 0.88
 """Log-likelihood ratio of a refused range: ln(0.8 / 0.33), four of five are refused in a wrong state, one of three at most
 in a right one."""
-_CUSUM_USED = -1.2
-"""Log-likelihood ratio of a used range: ln(0.2 / 0.67)."""
-_CUSUM_LIMIT = 7.0
-"""Chosen: eight refused ranges in a row; fewer inflate on multipath, more let a wrong state stand longer."""
+_CUSUM_USED = -1.2  # log-likelihood ratio of a used range: ln(0.2 / 0.67)
+_CUSUM_LIMIT = 7.0  # chosen: eight refused ranges in a row; fewer inflate on multipath, more let a wrong state stand longer
 _REFUSED_MEMORY = 0.7
 """Chosen: share of the mean squared innovation that the next refused range keeps: the mean of the last three."""
 _INFLATION_KEPT = 0.8
 """Chosen: each used range takes a fifth of the noise inflation away: half is gone after three ranges that agree."""
-_LEAST_INFORMATION = 1e-6
-"""Keeps the determinant of the direction matrix positive with one neighbour."""
-_ENOUGH_RANGES = 2
-"""Chosen: two refused ranges in a row that fit the reflected position open a hypothesis; one may be multipath."""
-_SMALLER_SHARE = 0.9
-"""Chosen: the ranges after a gap count as informative where they reduced the sigma by a tenth."""
-_EITHER_SIDE_SIGMAS = 4.0
-"""Chosen: as the gate; a plane within so many sigmas of the saved estimate leaves both sides possible."""
+_LEAST_INFORMATION = 1e-6  # keeps the determinant of the direction matrix positive with one neighbour
+_ENOUGH_RANGES = 2  # chosen: two refused ranges in a row that fit the reflected position open a hypothesis; one may be multipath
+_SMALLER_SHARE = 0.9  # chosen: the ranges after a gap count as informative where they reduced the sigma by a tenth
+_EITHER_SIDE_SIGMAS = 4.0  # chosen: as the gate; a plane within so many sigmas of the saved estimate leaves both sides possible
 
 
 def monitor_range(cluster: Cluster, vehicle: int, other: int, result: UpdateResult, m: RangeMeasurement) -> None:

@@ -20,22 +20,16 @@ from gcs_coloc.estimators.fleet.ekf.process_model import fresh_air_data
 from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S
 from gcs_coloc.estimators.fleet.ekf.state import POSITION, SIZE, TURN, VELOCITY
 
-_SPEED_SIGMAS = 2.0
-"""Chosen: a closing speed beyond two sigmas is known by its sign."""
-_HARDEST_TURN_MPS2 = 5.0
-"""Chosen: half a g, the unobserved acceleration to be reckoned with above and below peers."""
+_SPEED_SIGMAS = 2.0  # chosen: a closing speed beyond two sigmas is known by its sign
+_HARDEST_TURN_MPS2 = 5.0  # chosen: half a g, the unobserved acceleration to be reckoned with above and below peers
 _HARDEST_BESIDE_A_LINE_MPS2 = 9.8
 """Chosen: 1 g; beside peers on one line only the motion separates the sides, and a hard turn is as hard to observe."""
-_LEAST_SPREAD_SIGMAS = 3.0
-"""Chosen: peers closer together than three range sigmas do not define a plane."""
-_SAME_PLACE_NIS = 1.0
-"""Chosen: a reflected state within one sigma of the state is the same."""
+_LEAST_SPREAD_SIGMAS = 3.0  # chosen: peers closer together than three range sigmas do not define a plane
+_SAME_PLACE_NIS = 1.0  # chosen: a reflected state within one sigma of the state is the same
 COVERED_SIGMAS = 3.0
 """Chosen: each state is within three sigmas of a mixture, or of an estimate that includes it."""
-_LEVEL = 0.7
-"""Chosen: a plane whose normal is within 45 degrees of the vertical is level."""
-_LEAST_SPREAD_M = 1.0
-"""Chosen: peers at one place define no line."""
+_LEVEL = 0.7  # chosen: a plane whose normal is within 45 degrees of the vertical is level
+_LEAST_SPREAD_M = 1.0  # chosen: peers at one place define no line
 CLEARLY_ASIDE_SIGMAS = 1.0
 """Chosen: within one sigma of the plane a state is on neither side, and both hypotheses would be one."""
 

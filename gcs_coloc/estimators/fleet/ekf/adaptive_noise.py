@@ -15,38 +15,27 @@ from operator import attrgetter
 
 from gcs_coloc.core.measurements import PositionMeasurement, RangeMeasurement
 
-_DECAY = 1.0 - 1.0 / 1000.0
-"""Chosen: the split follows a change of the noise over 1000 samples."""
-_PROOF_SAMPLES = 20.0
-"""Chosen: with so many samples half of the observed scatter counts as proven white."""
-_LONGEST_GAP_S = 2.0
-"""Chosen: over longer gaps a manoeuvre cannot be told from noise."""
-_JERK_MPS3 = 3.0
-"""Chosen: jerk of usual flight; what it bends the track within four samples does not count as noise."""
-_MOST_SIGMAS = 4.0
-"""Chosen: one outlier counts as no more than this many stated sigmas."""
-_WELL_KNOWN = 0.25
-"""Chosen: relative standard error of the white variance from which on it is used at its upper bound."""
-_LEAST_REST = 0.01
-"""Chosen: share of the stated variance that remains when the uncertain time explains all of it."""
-_LEAST_WHITE_SHARE = 0.05
-"""Chosen: least white sigma as a share of the stated one, which keeps S positive definite."""
+_DECAY = 1.0 - 1.0 / 1000.0  # chosen: the split follows a change of the noise over 1000 samples
+_PROOF_SAMPLES = 20.0  # chosen: with so many samples half of the observed scatter counts as proven white
+_LONGEST_GAP_S = 2.0  # chosen: over longer gaps a manoeuvre cannot be told from noise
+_JERK_MPS3 = 3.0  # chosen: jerk of usual flight; what it bends the track within four samples does not count as noise
+_MOST_SIGMAS = 4.0  # chosen: one outlier counts as no more than this many stated sigmas
+_WELL_KNOWN = 0.25  # chosen: relative standard error of the white variance from which on it is used at its upper bound
+_LEAST_REST = 0.01  # chosen: share of the stated variance that remains when the uncertain time explains all of it
+_LEAST_WHITE_SHARE = 0.05  # chosen: least white sigma as a share of the stated one, which keeps S positive definite
 _OVERLAP = 2.3
 """Sum of the squared correlations of third differences (1, 15/20, 6/20, 1/20, both signs): their variance scatters more."""
 
-_MOST_RATIO = 10.0
-"""Chosen: one manoeuvre that was missed for a second raises the learned level by half at most."""
+_MOST_RATIO = 10.0  # chosen: one manoeuvre that was missed for a second raises the learned level by half at most
 _SETTLED_RATIO = 0.7
 """Chosen: below 1, as gusts last for seconds: the position errs by more than corrections of white noise would show."""
-_LONGEST_LEARNED_S = 1.0
-"""Chosen: what the sum of the corrections was before a longer pause says nothing of the pause."""
+_LONGEST_LEARNED_S = 1.0  # chosen: what the sum of the corrections was before a longer pause says nothing of the pause
 
 _COMPARED_S = 2.0
 """Chosen: twice the correlation time of manoeuvres that recur; over a shorter time the noise of the velocity hides them."""
 _LONGEST_COMPARED_S = 4.0
 """Chosen: over a longer time a vehicle has turned to and fro, which cancels in the change of its velocity."""
-_LEAST_LEVEL = 1.0
-"""Chosen: a vehicle that hovered may fly off as it loses its GPS."""
+_LEAST_LEVEL = 1.0  # chosen: a vehicle that hovered may fly off as it loses its GPS
 
 _NOTHING_SEEN = (0.0, 0.0)
 

@@ -30,8 +30,7 @@ EVERY_S = 4.0
 
 _FIRST_LOG_LEVEL = math.log(2.0)
 """Chosen: gusts of 1.1 m/s until the level is learned: one too large costs accuracy for half a minute, one too small honesty."""
-_MOST_RATIO = 4.0
-"""Chosen: one wrong attitude doubles the level at most."""
+_MOST_RATIO = 4.0  # chosen: one wrong attitude doubles the level at most
 
 
 class GroundVelocity(NamedTuple):
@@ -113,22 +112,15 @@ def _times_s(s: FleetSettings) -> FloatArray:
     return np.array((s.wind_time_s, s.wind_time_s, s.air_error_time_s, s.air_error_time_s))
 
 
-_SUSPICIOUS_NIS = 9.2
-"""Chi-square with two degrees of freedom: one of a hundred. The calibration learns nothing from beyond it."""
-_LEAST_SAMPLES = 5
-"""Chosen: of fewer, the level of gusts is not known well enough for a suspicion."""
-_MOST_NIS = 27.6
-"""Of suspicious windows in a row, together: one of a million, as one beyond it, two beyond the half or three."""
-_TELLING_SIGMA_MPS = 2.0
-"""Chosen: a tenth of the airspeed of small planes; a way that is known no better agrees with anything."""
-_UNKNOWN_ERROR_MPS = 20.0
-"""Chosen: the airspeed of small planes, all of which may be missing."""
-_RIGHT_SIGMAS = 3.0
-"""Chosen: refused air data are used again once their error is known to be within three of its usual sigmas."""
+_SUSPICIOUS_NIS = 9.2  # chi-square with two degrees of freedom: one of a hundred. The calibration learns nothing from beyond it
+_LEAST_SAMPLES = 5  # chosen: of fewer, the level of gusts is not known well enough for a suspicion
+_MOST_NIS = 27.6  # of suspicious windows in a row, together: one of a million, as one beyond it, two beyond the half or three
+_TELLING_SIGMA_MPS = 2.0  # chosen: a tenth of the airspeed of small planes; a way that is known no better agrees with anything
+_UNKNOWN_ERROR_MPS = 20.0  # chosen: the airspeed of small planes, all of which may be missing
+_RIGHT_SIGMAS = 3.0  # chosen: refused air data are used again once their error is known to be within three of its usual sigmas
 _LEAP_MPS = 6.0
 """Chosen: between two messages airspeeds change by 1.8 m/s at most in recorded flights, by 4.7 in simulated gusts of 4 m/s."""
-_LONGEST_GAP_S = 0.5
-"""Chosen: as long as an attitude holds; over a longer one a turn is not known."""
+_LONGEST_GAP_S = 0.5  # chosen: as long as an attitude holds; over a longer one a turn is not known
 
 
 class Place(NamedTuple):

@@ -40,16 +40,12 @@ REPORT_VELOCITY_TIME_S = 1.0
 """Chosen: correlation time of the velocity error of a navigation filter; ten reports in it count as one."""
 _ODOMETRY_TIME_S = 1.0
 """Chosen: correlation time of the errors of wheels and of optical flow, slip and scale; as of a navigation filter."""
-_COURSE_KNOWN_SHARE = 0.5
-"""Chosen: a velocity known to half of its size has a course; without one a speed is no component of it."""
+_COURSE_KNOWN_SHARE = 0.5  # chosen: a velocity known to half of its size has a course; without one a speed is no component of it
 _WELL_KNOWN_SHARE = 0.25
 """Chosen: air velocity known to this share of the airspeed is a better point of linearisation than a noisy heading."""
-_LEAST_DISTANCE_M = 1e-3
-"""Chosen: below it the direction of a range is rounding."""
-_LEAST_INTERVAL_S = 1e-3
-"""Chosen: bounds the noise of two measurements at the same time."""
-_AIR = ((3, 6), (4, 7))
-"""Components of velocity over ground and wind: east, north."""
+_LEAST_DISTANCE_M = 1e-3  # chosen: below it the direction of a range is rounding
+_LEAST_INTERVAL_S = 1e-3  # chosen: bounds the noise of two measurements at the same time
+_AIR = ((3, 6), (4, 7))  # components of velocity over ground and wind: east, north
 _REPORTED = np.eye(6, SIZE)
 _REPORTED[range(3), range(REPORT_ERROR.start, REPORT_ERROR.stop)] = 1.0
 """H of a position report, eq. (11): position with its error in the first three rows, velocity in the rest."""

@@ -42,8 +42,7 @@ class MotionProfile:
 _AS_SET = (1.0, 1.0), False
 _TURNING = (1.0, 30.0), False
 """Chosen: to 9 m^2/s^3, turns of 30 degrees of bank between steady legs."""
-_RECURRING = (0.03, 300.0), True
-"""Chosen: from 0.03 m^2/s^3, at rest, to 300 m^2/s^3, 1 g in turns of a second to either side."""
+_RECURRING = (0.03, 300.0), True  # chosen: from 0.03 m^2/s^3, at rest, to 300 m^2/s^3, 1 g in turns of a second to either side
 _CLIMB_LEVEL_OF_A_MULTIROTOR = 15.0
 """To 0.3 m^2/s^3. Chosen: climbs of 8 m/s are followed to 4 m; a barometer that creeps away as fast as a climb leads astray."""
 PROFILES: Mapping[VehicleClass | None, MotionProfile] = {

@@ -26,32 +26,22 @@ STEEPEST_BANK_RAD = 1.2
 """Chosen: 69 degrees, 2.8 g in a coordinated turn; a steeper bank is taken for aerobatics, where eq. (2) does not hold."""
 GAP_S = 1.5
 """Chosen: after a gap of this length between ranges a manoeuvre may have passed unobserved; one range may be lost at 1 Hz."""
-_COAST_TIME_S = 2.0
-"""Chosen: without an update for longer the process noise is inflated; shorter gaps are usual on a radio link."""
-_COAST_GAIN = 5.0
-"""Chosen: the most by which a gap inflates; more makes a vehicle out of range needlessly uncertain."""
-_NOTICED_SIGMA_M = 10.0
-"""Chosen: a denied vehicle known worse than this shows a manoeuvre late, so its process noise is inflated."""
-_UNNOTICED_GAIN = 20.0
-"""Chosen: the most by which a large position variance inflates."""
-_TURN_SHOWN_SIGMA_M = 1.0
-"""Chosen: a position known better than this along some direction shows a turn within a second."""
-_TURN_GAIN = 6.0
-"""Chosen: the most by which the turn rate's sigma is inflated: 6 * 0.03 rad/s is 10 degrees a second."""
+_COAST_TIME_S = 2.0  # chosen: without an update for longer the process noise is inflated; shorter gaps are usual on a radio link
+_COAST_GAIN = 5.0  # chosen: the most by which a gap inflates; more makes a vehicle out of range needlessly uncertain
+_NOTICED_SIGMA_M = 10.0  # chosen: a denied vehicle known worse than this shows a manoeuvre late, so its process noise is inflated
+_UNNOTICED_GAIN = 20.0  # chosen: the most by which a large position variance inflates
+_TURN_SHOWN_SIGMA_M = 1.0  # chosen: a position known better than this along some direction shows a turn within a second
+_TURN_GAIN = 6.0  # chosen: the most by which the turn rate's sigma is inflated: 6 * 0.03 rad/s is 10 degrees a second
 _MANOEUVRE_S = 1.0
 """Chosen: correlation time of manoeuvres that recur; a density q of white acceleration is 2 T sigma^2 (Singer 1970)."""
-_SLIP_DENSITY_M2PS3 = 0.03
-"""Chosen: wheels that slip change the velocity by 0.17 m/s within a second."""
-_MEASURED_TURN_RADPS = 1.0
-"""Chosen: 1-sigma of a turn rate that odometry measures; a robot turns on the spot."""
+_SLIP_DENSITY_M2PS3 = 0.03  # chosen: wheels that slip change the velocity by 0.17 m/s within a second
+_MEASURED_TURN_RADPS = 1.0  # chosen: 1-sigma of a turn rate that odometry measures; a robot turns on the spot
 _UNEVEN_TURN_TIME_S = 1.0
 """Chosen: correlation time of the acceleration error in a turn; its density is 2 T sigma^2 (Singer 1970)."""
 _LEAST_OWN_SHARE = 1e-3
 """Chosen: bounds the correlation time of a clock's offset at 1000 times that of a vehicle's own time-stamp error."""
-_LONGEST_STEP_S = 0.5
-"""Chosen: a turn bends the path; F is linearised anew at least this often."""
-_MOST_STEPS = 40
-"""Chosen: bounds the work of one propagation after a long silence."""
+_LONGEST_STEP_S = 0.5  # chosen: a turn bends the path; F is linearised anew at least this often
+_MOST_STEPS = 40  # chosen: bounds the work of one propagation after a long silence
 
 
 def turn_rate_radps(roll_rad: float, airspeed_mps: float) -> float:

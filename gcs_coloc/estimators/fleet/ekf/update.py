@@ -31,14 +31,12 @@ from gcs_coloc.estimators.fleet.ekf.records import OwnMeasurement, VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import BARO_ERROR, REPORT_ERROR, TIME_STAMP_OFFSET, JointState, Key, UnknownKey, whiten
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
-_HARDEST_MPS2 = 20.0
-"""Chosen: 2 g, the hardest manoeuvre that a position report outside the gate is explained by."""
+_HARDEST_MPS2 = 20.0  # chosen: 2 g, the hardest manoeuvre that a position report outside the gate is explained by
 _REPORT_ERROR_H = slice(REPORT_ERROR.start, REPORT_ERROR.start + 2)
 _REPORT_ERROR_V = slice(REPORT_ERROR.start + 2, REPORT_ERROR.stop)
 _MISSED_CLIMB_S = 1.2
 """Chosen: a climb that begins hard leaves the gate within so long; heights further apart show no steps. 1 Hz with jitter."""
-_CLIMB_ERROR_MPS = 15.0
-"""Chosen: the climb of an agile copter that was sinking a moment ago; a height that departs faster jumps."""
+_CLIMB_ERROR_MPS = 15.0  # chosen: the climb of an agile copter that was sinking a moment ago; a height that departs faster jumps
 _BARO = slice(BARO_ERROR, BARO_ERROR + 1)
 _UP_AND_CLIMB = np.ix_((2, 5), (2, 5))
 _OFFSET = slice(TIME_STAMP_OFFSET, TIME_STAMP_OFFSET + 1)

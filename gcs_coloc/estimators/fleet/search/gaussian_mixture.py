@@ -13,14 +13,10 @@ import numpy as np
 
 from gcs_coloc.core.measurements import FloatArray
 
-_MOST_COMPONENTS = 96
-"""Chosen: bounds the cost of a range to about a millisecond on a circle, and to four on a sphere."""
-_PRUNED_LOG_WEIGHT = -15.0
-"""Chosen: a component of odds below 1 to 3 million is dropped."""
-_MERGED_NIS = 0.3
-"""Chosen: components closer than half a sigma are one; neighbours on a circle are farther apart."""
-_ALIKE = 4.0
-"""Chosen: components whose variances differ by more are not one, wherever they are."""
+_MOST_COMPONENTS = 96  # chosen: bounds the cost of a range to about a millisecond on a circle, and to four on a sphere
+_PRUNED_LOG_WEIGHT = -15.0  # chosen: a component of odds below 1 to 3 million is dropped
+_MERGED_NIS = 0.3  # chosen: components closer than half a sigma are one; neighbours on a circle are farther apart
+_ALIKE = 4.0  # chosen: components whose variances differ by more are not one, wherever they are
 GATE_NIS = 16.0
 """Chosen: as the gate of the filter; a component that a range does not fit keeps its state and loses half of this."""
 MOST_SPLIT = 8
@@ -119,14 +115,10 @@ def log_sum(log_weight: FloatArray) -> float:
     return most + math.log(float(np.exp(log_weight - most).sum()))
 
 
-_FEWEST_ON_A_CIRCLE = 8
-"""Chosen: components 45 degrees apart, where the range is about as short as its sigma."""
-_MOST_ON_A_CIRCLE = 72
-"""Chosen: components 5 degrees apart; what is left of the bend then counts as noise, eq. (15)."""
-_MOST_ON_A_SPHERE = 90
-"""Chosen: nearly as many as a search may have components."""
-_MOST_TRIED = 2000
-"""Chosen: bounds the computing; they are 0.08 of the radius apart, as on a circle."""
+_FEWEST_ON_A_CIRCLE = 8  # chosen: components 45 degrees apart, where the range is about as short as its sigma
+_MOST_ON_A_CIRCLE = 72  # chosen: components 5 degrees apart; what is left of the bend then counts as noise, eq. (15)
+_MOST_ON_A_SPHERE = 90  # chosen: nearly as many as a search may have components
+_MOST_TRIED = 2000  # chosen: bounds the computing; they are 0.08 of the radius apart, as on a circle
 _GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))
 """From one point of a Fibonacci lattice to the next (Gonzalez 2010, Mathematical Geosciences 42)."""
 

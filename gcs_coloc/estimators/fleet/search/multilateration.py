@@ -25,33 +25,22 @@ from gcs_coloc.core.measurements import (
 _AZIMUTHS = 12  # chosen: a start every 30 degrees
 _ELEVATIONS_RAD = (-0.8, -0.1, 0.1, 0.8)
 """Chosen: starting points 30 degrees apart on the sphere about each peer, above and below it."""
-_STARTS = 24
-"""Chosen: so many descents find the global minimum; all run at once."""
-_ITERATIONS = 25
-"""Chosen: Levenberg-Marquardt converges in about ten."""
-_LEAST_RANGES = 6
-"""As many as unknowns: position and velocity."""
-_LEAST_PEERS = 2
-"""With one peer the position is anywhere on a sphere."""
-_HUBER_SIGMAS = 2.0
-"""Chosen: residuals beyond it pull no harder (Huber 1964)."""
+_STARTS = 24  # chosen: so many descents find the global minimum; all run at once
+_ITERATIONS = 25  # chosen: Levenberg-Marquardt converges in about ten
+_LEAST_RANGES = 6  # as many as unknowns: position and velocity
+_LEAST_PEERS = 2  # with one peer the position is anywhere on a sphere
+_HUBER_SIGMAS = 2.0  # chosen: residuals beyond it pull no harder (Huber 1964)
 _OUTLIER_SIGMAS = 5.0  # chosen: less than one Gaussian error in a million
-_MOST_OUTLIERS = 0.3
-"""Chosen: with more outliers than three of ten the ranges contradict each other."""
-_MOST_MEAN_SQUARE = 3.0
-"""Chosen: mean squared residual of the ranges that fit, 1 where the sigmas are right."""
-_CLEARLY_WORSE = 15.0
-"""Chosen: difference of the costs (chi-square) from which on another minimum is excluded."""
-_DISTINCT_NIS = 25.0
-"""Chosen: minima five sigmas apart horizontally are different positions."""
+_MOST_OUTLIERS = 0.3  # chosen: with more outliers than three of ten the ranges contradict each other
+_MOST_MEAN_SQUARE = 3.0  # chosen: mean squared residual of the ranges that fit, 1 where the sigmas are right
+_CLEARLY_WORSE = 15.0  # chosen: difference of the costs (chi-square) from which on another minimum is excluded
+_DISTINCT_NIS = 25.0  # chosen: minima five sigmas apart horizontally are different positions
 _VELOCITY_PRIOR_MPS = (30.0, 30.0, 5.0)  # chosen: 1-sigma of a small aircraft, east, north, up
 _STRAIGHT = 0.25
 """Chosen: a height one sigma off bends a range by so many of its sigmas. With 1.0 one of twelve starts (test_reflected_start.py)
 counted as known that the filter took to the wrong side."""
-_HEIGHT_PRIOR_M = 300.0
-"""Chosen: priors as wide as small aircraft fly, about rest and the mean height of the peers."""
-_ROUGH_MOST_SIGMAS = 50.0
-"""Chosen: bounds the residuals in the ranking of starting points."""
+_HEIGHT_PRIOR_M = 300.0  # chosen: priors as wide as small aircraft fly, about rest and the mean height of the peers
+_ROUGH_MOST_SIGMAS = 50.0  # chosen: bounds the residuals in the ranking of starting points
 
 
 class MultilaterationProblem:

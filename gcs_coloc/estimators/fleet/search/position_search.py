@@ -33,24 +33,16 @@ _TOO_WIDE = 4.0
 _NARROW = 1.4
 """Chosen: a horizontal variance of so many times distance times range sigma begins and ends a search. At 1.4 the bend of the
 circle moves a range by its sigma."""
-_WIDE_SHARE = 0.5
-"""Chosen: a sigma of half the distance on each axis; a narrower state stays on its side of the peer."""
-_LEAST_SIGMAS = 10.0
-"""Chosen: a shorter range has no side; it ends a search no sooner and begins none."""
-_SPLIT = 2.0
-"""Chosen: a component is split where its variance is so many times distance times range sigma."""
+_WIDE_SHARE = 0.5  # chosen: a sigma of half the distance on each axis; a narrower state stays on its side of the peer
+_LEAST_SIGMAS = 10.0  # chosen: a shorter range has no side; it ends a search no sooner and begins none
+_SPLIT = 2.0  # chosen: a component is split where its variance is so many times distance times range sigma
 _OTHERS_SHARE = 1e-4
 """Chosen: other places with less than this share together are excluded; a wrong decision is confident and lasts."""
-_LEAST_SHARE = 1e-6
-"""Chosen: components below it link no places."""
-_LINKED = 4.0
-"""Chosen: neighbours on a circle, one sigma apart, are linked, and those three sigmas apart are not."""
-_LEAST_RANGES = 12
-"""Chosen: with fewer ranges one that is reflected may decide between two places."""
-_LEAST_AGREED = 2
-"""Chosen: so many ranges in a row must leave one place; a single one that is an outlier may fit a wrong one."""
-_REFUSED_MOST = 10
-"""Chosen: when so many ranges in a row fit no component, none of them is the vehicle's place."""
+_LEAST_SHARE = 1e-6  # chosen: components below it link no places
+_LINKED = 4.0  # chosen: neighbours on a circle, one sigma apart, are linked, and those three sigmas apart are not
+_LEAST_RANGES = 12  # chosen: with fewer ranges one that is reflected may decide between two places
+_LEAST_AGREED = 2  # chosen: so many ranges in a row must leave one place; a single one that is an outlier may fit a wrong one
+_REFUSED_MOST = 10  # chosen: when so many ranges in a row fit no component, none of them is the vehicle's place
 _FALSE_NIS = 100.0
 """Chosen: a range ten sigmas from a wide component is false; one within them may be of a manoeuvre, and moves it."""
 _LEAST_DISTANCE_M = 0.1  # chosen: nearer, two antennas have no direction to each other
