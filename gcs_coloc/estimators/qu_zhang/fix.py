@@ -4,8 +4,7 @@ Three peers are chosen, their ranges trilaterated, and the result is tested.
 
 Dilution of precision (DOP) is how the peers' geometry turns range errors into position errors. With unit vectors u_i from peer i
 to the vehicle as its rows, the design matrix G has the cofactor matrix (G'G)^-1. HDOP is the root of the sum over east and north
-on its diagonal: metres of 1-sigma position error per metre of 1-sigma range error. What a geometry cannot observe has infinite
-dilution; what it can observe stays finite even where another axis does not. Source: Qu & Zhang, section II.A.
+on its diagonal: metres of 1-sigma position error per metre of 1-sigma range error. Source: Qu & Zhang, section II.A.
 """
 
 from __future__ import annotations
@@ -175,7 +174,7 @@ def _fix(
         peers=tuple(one.peer for one in chosen),
         position_m=fix_m,
         covariance=trilateration.corrected_covariance(centres, at_m, range_covariance, white),
-        hdop=float(horizontal_dilution(offsets / np.linalg.norm(offsets, axis=-1, keepdims=True))),
+        hdop=_hdop(offsets / np.linalg.norm(offsets, axis=-1, keepdims=True)),
         sensitivities=sensitivities,
         lasting=lasting,
     )
@@ -235,34 +234,10 @@ def fix_of(
     return fix
 
 
-def cofactor_diagonal(design: FloatArray) -> FloatArray:
-    """Return the diagonal (..., m) of (G'G)^-1, infinite for what G (..., n, m) leaves undetermined.
+def _hdop(units: FloatArray) -> float:
+    """Return the HDOP of three ranges without a clock bias, by unit vectors (3, 3) from the peers.
 
-    It is the variance of each of m unknowns per unit variance of n measurements, which may be fewer, or none.
+    Only east and north count: a peer seen steeply above or below adds little. That is as (G'G)^-1 by the singular values of G.
     """
-    rows, unknowns = design.shape[-2:]
-    if rows < unknowns:
-        # Rows of zeros measure nothing; they make the singular vectors of the null space appear.
-        padding = [(0, 0)] * (design.ndim - 2) + [(0, unknowns - rows), (0, 0)]
-        design = np.pad(design, padding)
-    # A direction that does not exist (the vehicle is where its peer is) measures nothing either.
-    design = np.where(np.isfinite(design).all(axis=-1, keepdims=True), design, 0.0)
-    _, singular_values, vt = np.linalg.svd(design, full_matrices=False)
-    tolerance = np.finfo(np.float64).eps * max(design.shape[-2:])
-    weights = vt**2
-    # Below 1e-150 a square is no longer a number; no measurement is that weak.
-    floor = np.maximum(tolerance * singular_values[..., :1], 1e-150)
-    seen = (singular_values > floor)[..., np.newaxis]
-    determined = weights / np.where(seen, singular_values[..., np.newaxis] ** 2, 1.0)
-    # A null-space vector has rounding residues on the axes that it does not touch.
-    undetermined = np.where(weights > tolerance, np.inf, 0.0)
-    return np.asarray(np.where(seen, determined, undetermined).sum(axis=-2))
-
-
-def horizontal_dilution(unit_vectors: FloatArray) -> FloatArray:
-    """Return the HDOP (...) of ranges without a clock bias to a vehicle of known height.
-
-    The unit vectors (..., n, 2) or (..., n, 3) are from each peer to the vehicle. Only east and north are used: a peer seen
-    steeply above or below adds little. It is infinite where n < 2 or all horizontal directions are parallel.
-    """
-    return np.asarray(np.sqrt(cofactor_diagonal(unit_vectors[..., :2]).sum(axis=-1)))
+    _, singular_values, vt = np.linalg.svd(units[:, :2], full_matrices=False)
+    return float(np.sqrt((vt**2 / singular_values[:, np.newaxis] ** 2).sum(axis=-2).sum(axis=-1)))

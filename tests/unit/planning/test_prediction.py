@@ -10,7 +10,6 @@ import pytest
 
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import VehicleClass
-from gcs_coloc.estimators.qu_zhang.fix import horizontal_dilution
 from gcs_coloc.planning import prediction
 from gcs_coloc.planning.fleet_plan import FleetPlan, PlanAssumptions, PlannedStation, PlannedVehicle
 from gcs_coloc.planning.flight_path import Leg
@@ -74,7 +73,8 @@ def test_the_papers_flight_gives_the_papers_hdop_curve_with_its_two_singular_ins
     assert predicted.at_s[curve > 1000.0][0] == pytest.approx(130.0, abs=5.0)
     # The ranges themselves have no clock: their dilution stays finite, and the filter passes both places.
     assert predicted.hdop.max() < 20.0
-    expected = [float(horizontal_dilution(directions(place, 4))) for place in places]
+    horizontal = [directions(place, 4)[:, :2] for place in places]
+    expected = [math.sqrt(np.trace(np.linalg.inv(G.T @ G))) for G in horizontal]
     assert predicted.hdop == pytest.approx(expected, rel=1e-3)
     assert predicted.has_fix.all()
 

@@ -3,12 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from gcs_coloc.core.error_ellipse import horizontal_dilution_of
 from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, PositionMeasurement, RangeMeasurement
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome
 from gcs_coloc.estimators.fleet.fleet_model import FleetModel
 from gcs_coloc.estimators.fleet.peer_selection import select_peers
 from gcs_coloc.estimators.fleet.settings import FleetSettings
-from gcs_coloc.estimators.qu_zhang.fix import horizontal_dilution
 
 NONE: frozenset[int] = frozenset()
 HERE = np.array([0.0, 0.0, 100.0])
@@ -21,7 +21,7 @@ def fleet(seed: int) -> list[tuple[int, FloatArray]]:
 
 def hdop(chosen: frozenset[int], placed: list[tuple[int, FloatArray]], here: FloatArray = HERE) -> float:
     offsets = np.array([here - position for vehicle, position in placed if vehicle in chosen])
-    return float(horizontal_dilution(offsets / np.linalg.norm(offsets, axis=1)[:, np.newaxis]))
+    return horizontal_dilution_of((offsets / np.linalg.norm(offsets, axis=1)[:, np.newaxis]).tolist())
 
 
 @pytest.mark.parametrize("seed", range(10))
