@@ -141,8 +141,6 @@ class MessageDispatch:
                 s.aiding.add_origin(message)
             case ParameterValue():
                 return s.aiding.add_parameter(message)
-            case _:
-                pass
         return []
 
     def _add_heartbeat(self, message: Heartbeat) -> None:

@@ -17,15 +17,7 @@ from typing import Protocol
 
 import numpy as np
 
-from gcs_coloc.core.measurements import (
-    Estimate,
-    Measurement,
-    NoEstimate,
-    NoEstimateReason,
-    RangeMeasurement,
-    Residual,
-    Unlocated,
-)
+from gcs_coloc.core.measurements import Estimate, Measurement, NoEstimate, NoEstimateReason, RangeMeasurement, Residual, Unlocated
 from gcs_coloc.core.reasons import StatedReason
 
 _SIX_ROWS = [6] * 6

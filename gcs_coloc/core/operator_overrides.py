@@ -5,14 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TypeVar
 
-from gcs_coloc.core.messages.control import (
-    AidingOverride,
-    CommandSource,
-    GpsOverride,
-    OperatorCommand,
-    Override,
-    PrimaryOverride,
-)
+from gcs_coloc.core.messages.control import AidingOverride, CommandSource, GpsOverride, OperatorCommand, Override, PrimaryOverride
 from gcs_coloc.core.messages.outbound import Notice
 
 _WHAT: Mapping[type[Override], str] = {GpsOverride: "GPS", AidingOverride: "aiding", PrimaryOverride: "GPS_PRIMARY"}

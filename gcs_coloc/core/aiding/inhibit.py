@@ -42,10 +42,7 @@ class InhibitReason(WordedReason):
     # No fix is stated
     NOT_SENT_YET = "not_sent_yet", "not sent yet"
     NO_ESTIMATE = "no_estimate", "{detail}"
-    BEYOND_ALERT_LIMIT = (
-        "beyond_alert_limit",
-        "protection level {value:.1f} m is beyond the alert limit of {limit:g} m",
-    )
+    BEYOND_ALERT_LIMIT = ("beyond_alert_limit", "protection level {value:.1f} m is beyond the alert limit of {limit:g} m")
     NO_PROTECTION_LEVEL = "no_protection_level", "its position has no protection level"
     UNTESTED = "untested", "its ranges cannot test the position of {detail}, and require_fault_tests is set"
     PREDICTION_ALONE = "prediction_alone", "no range has been in use for {limit:g} s: prediction alone"
@@ -57,10 +54,7 @@ class InhibitReason(WordedReason):
     # No standby
     STANDBY_UNKNOWN = "standby_unknown", "it has not told its GPS_AUTO_SWITCH and GPS_PRIMARY yet"
     STANDBY_OURS_FIRST = "standby_ours_first", "GPS_PRIMARY={value:g} is our receiver: set it to its own"
-    STANDBY_MAY_SWITCH = (
-        "standby_may_switch",
-        "GPS_AUTO_SWITCH={value:g} could leave its own receiver for ours: set it to 4",
-    )
+    STANDBY_MAY_SWITCH = ("standby_may_switch", "GPS_AUTO_SWITCH={value:g} could leave its own receiver for ours: set it to 4")
 
 
 Inhibit = StatedReason[InhibitReason]

@@ -106,10 +106,7 @@ class PrimaryParameter:
             (SwitchStep.READING, ReceiverAnswer.OUT_OF_USE): f"{GPS_PRIMARY} is {self._told:g} already: left as it is",
             (SwitchStep.SETTING, None): f"{GPS_PRIMARY} could not be set to {ours:g}: no answer",
             (SwitchStep.SETTING, ReceiverAnswer.IN_USE): f"{GPS_PRIMARY} could not be set to {ours:g}: it stays {self._told:g}",
-            (
-                SwitchStep.SETTING,
-                ReceiverAnswer.OUT_OF_USE,
-            ): f"{GPS_PRIMARY} set to {ours:g}, our receiver; it was {before:g}",
+            (SwitchStep.SETTING, ReceiverAnswer.OUT_OF_USE): f"{GPS_PRIMARY} set to {ours:g}, our receiver; it was {before:g}",
             (SwitchStep.OURS, ReceiverAnswer.IN_USE): f"{GPS_PRIMARY} was set to {self._told:g} by somebody else: left as it is",
             (SwitchStep.RESTORING, None): f"{not_restored}: no answer",
             (SwitchStep.RESTORING, ReceiverAnswer.OUT_OF_USE): f"{not_restored}: it stays {self._told:g}",

@@ -58,11 +58,7 @@ class FixCheck:
 
 
 def check_fix(
-    fix: PositionMeasurement,
-    estimate: Estimate | None,
-    epoch: Epoch,
-    pasts: Mapping[float, Past],
-    suspects: Collection[int] = (),
+    fix: PositionMeasurement, estimate: Estimate | None, epoch: Epoch, pasts: Mapping[float, Past], suspects: Collection[int] = ()
 ) -> FixCheck:
     """Test a receiver's fix against the vehicle's estimate near in time, if fit for it, and the ranges.
 

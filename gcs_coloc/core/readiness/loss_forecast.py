@@ -16,13 +16,7 @@ from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, height_sigma_m
 from gcs_coloc.core.integrity.fault_monitor import expected_separation_m2
-from gcs_coloc.core.integrity.protection_level import (
-    Exposure,
-    FaultLevel,
-    ProtectionSettings,
-    fault_level,
-    protection_level,
-)
+from gcs_coloc.core.integrity.protection_level import Exposure, FaultLevel, ProtectionSettings, fault_level, protection_level
 from gcs_coloc.core.integrity.report import IntegrityReport
 from gcs_coloc.core.integrity.solution_separation import SolutionSeparation, noise_excess_m2
 from gcs_coloc.core.measurements import Estimate, NoEstimate, PositionMeasurement, Vector3

@@ -110,11 +110,7 @@ def reported_position(
 
 
 def receiver_position(
-    fix: GpsReceiver,
-    position: GlobalPosition | None,
-    measured: ServiceTime,
-    frame: LocalFrame,
-    settings: MeasurementSettings,
+    fix: GpsReceiver, position: GlobalPosition | None, measured: ServiceTime, frame: LocalFrame, settings: MeasurementSettings
 ) -> PositionMeasurement:
     """Return a receiver's fix with the autopilot's last velocity; at that speed its age is in `sigma_h_m`."""
     ned_mps = (position.vn_mps, position.ve_mps, position.vd_mps) if position is not None else (0.0, 0.0, 0.0)

@@ -198,8 +198,6 @@ class Telemetry:
                 state.autopilot, state.winged = message.autopilot, message.winged
                 state.armed, state.mode = message.armed, message.mode
                 return changed
-            case _:
-                pass
         return False
 
     def set_route(self, report: RouteReport) -> bool:

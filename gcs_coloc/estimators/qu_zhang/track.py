@@ -69,12 +69,7 @@ class PeerTrack:
     """
 
     def __init__(
-        self,
-        density_m2ps3: float,
-        vertical_density_m2ps3: float,
-        gate_probability: float,
-        gate_patience: int,
-        memory_s: float,
+        self, density_m2ps3: float, vertical_density_m2ps3: float, gate_probability: float, gate_patience: int, memory_s: float
     ) -> None:
         self._memory_s = memory_s
         self._density = density_m2ps3

@@ -74,12 +74,7 @@ class GpsInputMethod(AidingMethod):
 
 
 def gps_input(
-    sysid: int,
-    answer: Estimate | None,
-    frame: LocalFrame | None,
-    range_sigma_m: float | None,
-    unix_s: float | None,
-    gps_id: int,
+    sysid: int, answer: Estimate | None, frame: LocalFrame | None, range_sigma_m: float | None, unix_s: float | None, gps_id: int
 ) -> GpsInput:
     """GPS_INPUT for one vehicle from the estimator's answer, None where that may not be stated as a fix.
 

@@ -47,9 +47,7 @@ METHODS: Mapping[AidingMethodName, MethodEntry] = {
     "gps_input": MethodEntry(GpsInputMethod, InhibitReason.PX4_IGNORES_GPS_INPUT, feeds_receiver=True),
     "external_position": MethodEntry(ExternalPositionMethod, InhibitReason.PX4_RESETS_BY_EXTERNAL_POSITION, heeds_target=True),
     "global_position_sensor": MethodEntry(
-        GlobalPositionSensorMethod,
-        not_for_ardupilot=InhibitReason.ARDUPILOT_IGNORES_POSITION_SENSOR,
-        unused=FixFault.EKF_UNAIDED,
+        GlobalPositionSensorMethod, not_for_ardupilot=InhibitReason.ARDUPILOT_IGNORES_POSITION_SENSOR, unused=FixFault.EKF_UNAIDED
     ),
     "vision_position": MethodEntry(
         VisionPositionMethod, not_for_ardupilot=InhibitReason.VISION_IS_FOR_PX4, unused=FixFault.EKF_WITHOUT_VISION
