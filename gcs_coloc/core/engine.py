@@ -265,7 +265,7 @@ class Engine:
             utc_minus_service_s=self._utc_minus_service_s(),
             origin=(frame.lat_deg, frame.lon_deg, frame.height_m) if frame is not None else None,
             loop_lag_s=self.clocks.host_lag_s,
-            stations=review.stations.snapshots(now_s),
+            stations=review.stations.snapshots(review.report, now_s),
             noise=review.report.noise,
             alert_limit_m=self.settings.aiding.alert_limit_m,
         )
@@ -282,7 +282,7 @@ class Engine:
         return vehicle
 
     def _make_room(self, now_s: float) -> None:
-        """Forget one that was never proven, to which nothing is sent and of which nothing is to be restored."""
+        """Forget a vehicle, where one was never proven, is sent nothing and has nothing to be restored."""
         for sysid in self.proven.replaceable(tuple(self.telemetry), now_s):
             if sysid not in self.aiding.to_change():
                 self._dispatch.forget(sysid)

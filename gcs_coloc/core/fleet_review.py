@@ -154,12 +154,12 @@ class FleetReview:
         self._knows_delays = all(self._stages.clocks.knows_delay(vehicle.sysid, now_s) for vehicle in self._stages.telemetry)
         stations = self.stations.witnesses(now_s)
         reviewed = [*(self._reviewed(vehicle, now_s) for vehicle in self._stages.telemetry), *stations]
-        self.report = self._stages.integrity.review(now_s, reviewed, self._stages.measurements.frame)
+        before, self.report = self.report, self._stages.integrity.review(now_s, reviewed, self._stages.measurements.frame)
         for sysid in self.report.diverged:
             self._stages.estimator.reset(sysid, now_s)
         text = "its GPS is back and fits the ranges, our position did not: located anew"
         diverged = [Notice(now_s, sysid, "warning", text) for sysid in self.report.diverged]
-        return [*out, *diverged, *self._air_data_notices(reviewed, now_s), *self.stations.update(self.report, now_s)]
+        return [*out, *diverged, *self._air_data_notices(reviewed, now_s), *self.stations.update(before, self.report, now_s)]
 
     def _air_data_notices(self, reviewed: Iterable[ReviewedVehicle], now_s: float) -> list[Notice]:
         refused = {v.sysid for v in reviewed if v.estimate is not None and v.estimate.refuses_air_data}

@@ -246,7 +246,7 @@ def count_reasons(reasons: Iterable[Unlocated]) -> dict[Unlocated, int]:
 
 
 def is_possible(measurement: Measurement) -> bool:
-    """Return whether all is finite, sigmas are above zero, a range is not negative and has two ends."""
+    """Return whether a measurement is possible: finite, sigmas above 0, a range not below 0 with two ends."""
     for one in fields(measurement):
         value = getattr(measurement, one.name)
         numbers = value if isinstance(value, tuple) else () if value is None else (value,)

@@ -47,12 +47,11 @@ class StationSnapshot:
 
 
 class StationReview:
-    """Hands the stations on to the stages that use them, and keeps what integrity found of them last."""
+    """Hands the stations on to the stages that use them, and tells what is found of them."""
 
     def __init__(self, stages: Stages) -> None:
         self._stages = stages
         self._given: dict[int, StationPosition] = {}
-        self._faults: dict[int, PositionFault] = {}
 
     def witnesses(self, now_s: float) -> list[ReviewedVehicle]:
         """Return the stations as a review of integrity takes them.
@@ -68,18 +67,17 @@ class StationReview:
             return []
         return [self._reviewed(station, frame, now_s) for station in s.stations if station.position is not None]
 
-    def update(self, report: IntegrityReport, now_s: float) -> list[Notice]:
-        """Keep what integrity found of the stations, and seek one; return what the operator must know."""
-        faults = {station.node: report.faults[station.node] for station in self._stages.stations if station.node in report.faults}
-        before, self._faults = self._faults, faults
+    def update(self, before: IntegrityReport, report: IntegrityReport, now_s: float) -> list[Notice]:
+        """Seek a station; return what the operator must know of that, and of two reports in a row."""
         out = []
         for station in self._stages.stations:
-            is_wrong = station.node in faults and faults[station.node].is_identified
-            was_wrong = station.node in before and before[station.node].is_identified
-            if is_wrong and not was_wrong:
-                text = f"{station.label}: {_wording(faults[station.node])}. Its ranges are not used until they fit"
-                out.append(Notice(now_s, None, "error", text))
-            elif was_wrong and not is_wrong:
+            was, now = before.faults.get(station.node), report.faults.get(station.node)
+            was_wrong = was is not None and was.is_identified
+            if now is not None and now.is_identified:
+                if not was_wrong:
+                    text = f"{station.label}: {_wording(now)}. Its ranges are not used until they fit"
+                    out.append(Notice(now_s, None, "error", text))
+            elif was_wrong:
                 out.append(Notice(now_s, None, "info", f"{station.label}: ranges fit its position again"))
         return [*out, *self._seek(now_s)]
 
@@ -94,10 +92,10 @@ class StationReview:
     def _unplaced(self, node: int) -> Station:
         return self._stages.stations.get(node) or Station(station_id_of(node))
 
-    def snapshots(self, now_s: float) -> tuple[StationSnapshot, ...]:
+    def snapshots(self, report: IntegrityReport, now_s: float) -> tuple[StationSnapshot, ...]:
         """Return the stations for observers."""
-        s = self._stages
-        return tuple(self._snapshot(station, now_s) for station in [*s.stations, *self._surveyed()])
+        stations = [*self._stages.stations, *self._surveyed()]
+        return tuple(self._snapshot(station, report.faults.get(station.node), now_s) for station in stations)
 
     def _surveyed(self) -> list[Station]:
         """Return the stations that have no position but the one that was found."""
@@ -128,8 +126,8 @@ class StationReview:
             receiver_fix=reported if is_wrong else None,
         )
 
-    def _snapshot(self, station: Station, now_s: float) -> StationSnapshot:
-        s, at, fault = self._stages, station.position, self._faults.get(station.node)
+    def _snapshot(self, station: Station, fault: PositionFault | None, now_s: float) -> StationSnapshot:
+        s, at = self._stages, station.position
         frame = s.measurements.frame
         where = station.measurement(frame, now_s) if frame is not None else None
         ranged_s = s.stations.ranged_s(station.node)

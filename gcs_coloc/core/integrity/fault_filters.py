@@ -255,7 +255,7 @@ class FaultFilters:
         return H
 
     def _reset_diverged(self, H: FloatArray, z: list[float], r: list[float]) -> None:
-        """Reset the displacement of filters that explain less than half of the residuals for some steps."""
+        """Reset the displacement of filters that explain less than half of the residuals for several steps."""
         columns = H.transpose(0, 2, 1)
         predicted = self._A @ columns
         variance = (columns * predicted[:, 1:]).sum(axis=1) + r

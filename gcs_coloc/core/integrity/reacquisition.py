@@ -114,7 +114,7 @@ class _Reacquisition:
         return PositionFault(FaultReason.CONTRADICTS_RANGES, self.offset_m, self.peers)
 
     def has_diverged(self, check: FixCheck, now_s: float) -> bool:
-        """Return whether ranges have fitted the receiver, and not the estimate, for a while: it starts anew."""
+        """Return whether the estimate must start anew: ranges have long fitted the receiver and not it."""
         if check.finding is not FixConsistency.ESTIMATE_OFF:
             self.diverged_since_s = None
             return False

@@ -123,7 +123,7 @@ class ProvenVehicles:
             fit.at_s = at_s
 
     def review(self, vehicles: Collection[ReportedState], vouched: Collection[int], now_s: float) -> list[Notice]:
-        """Find who is proven now, the `vouched` by the operator among them; return what is to be told."""
+        """Find who is proven now; the operator declares the `vouched` healthy. Return what is to be told."""
         out: list[Notice] = []
         is_founding = self._began_s is not None and now_s - self._began_s < FOUNDING_S
         any_alone = any(vehicle.blocked is None for vehicle in vehicles)

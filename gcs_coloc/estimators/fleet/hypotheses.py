@@ -164,7 +164,7 @@ class FleetHypotheses:
     def _reflection_plane(
         self, cluster: Cluster, denied_vehicle: int, before: SavedEstimate | None, at_s: float
     ) -> ReflectionPlane | None:
-        """Return the plane on whose other side a denied vehicle alone, not in a group, may be, or None."""
+        """Return the plane on whose other side a denied vehicle may be, for it alone and no group, or None."""
         evidence = self.main.records[denied_vehicle].reflection_evidence
         plane = plane_of_refused_ranges(evidence, cluster, denied_vehicle, at_s)
         plane = plane or find_reflection_plane(cluster, denied_vehicle, at_s)

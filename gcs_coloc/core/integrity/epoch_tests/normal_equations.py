@@ -80,7 +80,7 @@ class NormalEquations:
         self._weights[test, 0, 1, mine] = self._weights[test, 1, 0, mine] = -shared_m2 / determinant
 
     def _solve_by_newton(self) -> FloatArray:
-        """Solve, anew where ranges bend on the way; return the variances of states without prior, m^2."""
+        """Solve, by Newton's method where ranges bend; return the variances of states without prior, m^2."""
         vehicles, tests = len(self._now.vehicles), len(self._weights)
         # A move of d metres bends a range of r metres by d^2 / 2r.
         straight_m2 = 2.0 * _CURVATURE_SHARE * self._now.distance_times_sigma_m2
