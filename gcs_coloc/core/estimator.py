@@ -1,7 +1,4 @@
-"""The protocol that every estimator meets, and the guard around one.
-
-A new estimator is one file with one such class.
-"""
+"""The protocol that every estimator meets with one class in one file, and the guard around one."""
 
 from __future__ import annotations
 

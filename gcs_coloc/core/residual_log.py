@@ -1,7 +1,4 @@
-"""The residual log: what the estimator made of the ranges of the last seconds.
-
-It has the newest residual of each pair, and each vehicle's consistency. `RangeJumps` finds devices that are off.
-"""
+"""The residual log: what the estimator made of the ranges of late, and devices that are off."""
 
 from __future__ import annotations
 

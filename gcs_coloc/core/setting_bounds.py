@@ -1,7 +1,4 @@
-"""The bounds of settings, declared beside each default.
-
-They are checked when the settings are made, and printed in the reference.
-"""
+"""The bounds of settings, declared beside each default, checked and printed in the reference."""
 
 from __future__ import annotations
 

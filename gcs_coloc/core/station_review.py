@@ -1,7 +1,4 @@
-"""The review of a fleet's stations: hands on where they are, and what is found of them.
-
-Their positions go to the estimator and to integrity. What integrity finds of them is told to people.
-"""
+"""The review of a fleet's stations: hands on where they are, and what is found of them."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Fix acknowledgement: whether a vehicle uses the fix that it is sent.
-
-The evidence is what the vehicle reports of the receiver that we feed, or the status that its EKF2 reports.
-"""
+"""Fix acknowledgement: whether a vehicle uses its fix, by the fed receiver or the status of its EKF2."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Parameters of the vehicles: requested when they are needed, and kept as last reported.
-
-Each request is repeated a few times while no answer comes.
-"""
+"""Parameters of vehicles: requested a few times when they are needed, and kept as last reported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,1 @@
-"""Alarms: what is wrong with the fleet, as people are told of it.
-
-The texts for ground tools and the traffic light of each vehicle come from them.
-"""
+"""Alarms: what is wrong with the fleet, as people and ground tools are told of it."""

@@ -1,7 +1,4 @@
-"""Status texts: what ground tools such as QGroundControl are told of alarms.
-
-The texts are short, and their rate is bounded.
-"""
+"""Status texts: what ground tools such as QGroundControl are told of alarms, at a bounded rate."""
 
 from __future__ import annotations
 

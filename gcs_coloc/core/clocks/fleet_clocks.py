@@ -1,7 +1,4 @@
-"""The clocks of one fleet: the service time of each message, and the TIMESYNC exchanges.
-
-Also here: UTC, and the detection of two autopilots that use one system id.
-"""
+"""The clocks of one fleet: the time of each message, TIMESYNC, UTC, and system ids that two share."""
 
 from __future__ import annotations
 

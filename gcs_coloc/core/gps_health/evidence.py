@@ -1,7 +1,4 @@
-"""The evidence for the GPS health of a vehicle.
-
-It is what the vehicle's autopilot and receiver report, and what the service finds.
-"""
+"""The evidence for the GPS health of a vehicle: what it reports, and what the service finds."""
 
 from __future__ import annotations
 

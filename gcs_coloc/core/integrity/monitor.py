@@ -1,7 +1,5 @@
 """The integrity monitor of one fleet: it tests reported positions and returns what it found.
 
-It gets reported positions, ranges and estimates. Each review returns one `IntegrityReport`.
-
 A witness, of which nothing bad is known, has its reported position as a prior. Any other vehicle has none: it may echo our fix,
 or be the one at fault, so it stands where the estimator has it, free to move horizontally. Its own receiver is tested by itself,
 and an identified vehicle is readmitted only after its receiver has agreed with where the ranges put it.

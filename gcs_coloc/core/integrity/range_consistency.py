@@ -1,7 +1,5 @@
 """Range consistency: detects and identifies faulty reported positions over time.
 
-It uses the tests of single epochs (`fault_tests`, `isolation`).
-
 Each review tests the present epoch alone and against epochs some seconds earlier. This module has what the tests need of memory:
 how many independent samples in a row isolate a vehicle, and how the solution separation decays (`detection`: who is detected).
 Samples are independent where their windows do not overlap: an outlier that lasts as long as a window is in one of them only.

@@ -1,7 +1,5 @@
 """GNSS reacquisition monitor: tests a receiver that is back before it is believed again.
 
-The tests are against ranges and against the estimate.
-
 Spoofing often follows jamming: the fix that comes back is then another place's. While a vehicle recovers, `check_fix` tests its
 receiver in every review. The monitor has its own residual buffer and epochs, so that its findings concern no other vehicle.
 """

@@ -1,8 +1,4 @@
-"""The report of the integrity stage, and what a review takes of each vehicle.
-
-The report has faults, solution separation and reacquired receivers. Every value is frozen. The engine alone hands a report on
-to the GPS health of each vehicle and to its outputs.
-"""
+"""The report of the integrity stage, and what a review takes of each vehicle. Every value is frozen."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Control inputs: what the host, the operator and the links send the engine.
-
-Conventions as in `inbound`.
-"""
+"""Control inputs: what the host, the operator and the links send. Conventions as in `inbound`."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Held motion: where a vehicle is later if it keeps its speed and its turn rate.
-
-Also here: the turn rate of a vehicle from its velocities.
-"""
+"""Held motion: where a vehicle is later if it keeps its speed and its turn rate, and that rate."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The readiness of one vehicle: would it be located if its GPS failed, and what limits that?
-
-What it would have without GPS is stated for now and for half a minute later.
-"""
+"""The readiness of one vehicle: would it be located if its GPS failed, and what limits that?"""
 
 from __future__ import annotations
 

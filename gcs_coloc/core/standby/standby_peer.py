@@ -1,7 +1,5 @@
 """The state machine of a hot standby peer: it decides which of the two services sends.
 
-It decides by signs of life and by what vehicles show.
-
 With two services there is no majority. Three rules keep them from sending both, and hold in this order:
 
 1. Who stood still for longer than `STILL_S` does not send before it knows that the other one has not taken over.

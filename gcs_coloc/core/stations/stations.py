@@ -1,7 +1,4 @@
-"""The fixed stations of a fleet, from the configuration and from RANGING_BEACON messages.
-
-A RANGING_BEACON may state the position of its station.
-"""
+"""The fixed stations of a fleet, from the configuration and from RANGING_BEACON messages."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The reported state of each vehicle: what it last said of itself.
-
-Telemetry alone writes it. Later stages read it.
-"""
+"""The reported state of each vehicle: what it last said of itself. Telemetry alone writes it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The base of an aiding method, which builds the messages that aid one vehicle.
-
-A method builds them from one estimate. The fix policy decides whether that may be stated.
-"""
+"""The base of an aiding method, which builds the messages that aid one vehicle from one estimate."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The position messages that PX4 fuses as they arrive: which of them it takes, and from which origin.
-
-They are GLOBAL_POSITION_SENSOR, and VISION_POSITION_ESTIMATE for PX4 1.14 to 1.17.
-"""
+"""The position messages that PX4 fuses as they arrive: which of them it takes, and from which origin."""
 
 from __future__ import annotations
 

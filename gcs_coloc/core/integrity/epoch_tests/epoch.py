@@ -1,7 +1,4 @@
-"""An epoch: the fleet at one time as the tests see it, and the history of such epochs.
-
-An epoch has position priors and range residuals.
-"""
+"""An epoch: priors and range residuals of the fleet at one time, and the history of such epochs."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Geometry of a denied vehicle and its peers: positions, distances and the sigmas of ranges.
-
-Covariances are computed only where a test needs them.
-"""
+"""Geometry of a denied vehicle and its peers, with covariances only where a test needs them."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Outcomes: what became of a measurement, in a closed list that the filter counts.
-
-`UpdateResult` is the result of one update.
-"""
+"""Outcomes: what became of a measurement, in a closed list that the filter counts."""
 
 from __future__ import annotations
 

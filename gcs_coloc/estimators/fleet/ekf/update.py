@@ -1,7 +1,4 @@
-"""The measurement update: propagate to the time of a measurement, linearise, gate, correct.
-
-Gate: eq. (17). Huber weight: eq. (18). Correction: eq. (19).
-"""
+"""The measurement update: propagate to the time of a measurement, linearise, gate, correct."""
 
 from __future__ import annotations
 
