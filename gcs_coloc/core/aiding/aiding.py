@@ -200,10 +200,7 @@ class Aiding:
         utc_minus_service_s: float | None,
         estimate_at: EstimateAt,
     ) -> list[Outbound]:
-        """Build the messages that are due by `now_s`.
-
-        `inputs` returns what earlier stages know of a vehicle, `estimate_at` its estimate at a time. Times are service time, s.
-        """
+        """Build the messages due by `now_s`, from what earlier stages know of a vehicle and its estimates."""
         out: list[Outbound] = []
         if now_s < self.next_due_s:
             return out
