@@ -78,21 +78,6 @@ class Stages:
     survey: StationSurvey
     ranges: RecentRanges = field(default_factory=RecentRanges)
 
-    def forget(self, sysid: int) -> None:
-        """Forget a vehicle that makes room for another one.
-
-        The estimator forgets none: of one that was never proven it was told the class alone.
-        """
-        self.telemetry.forget(sysid)
-        self.proven.forget(sysid)
-        self.clocks.forget(sysid)
-        self.measurements.forget(sysid)
-        self.integrity.forget(sysid)
-        self.gps_health.forget(sysid)
-        self.aiding.forget(sysid)
-        self.vetted.forget(sysid)
-        self.ranges.forget(sysid)
-
 
 class MessageDispatch:
     """Hands one message at a time to the stages that use it, and the measurement that is built from it.
@@ -105,8 +90,13 @@ class MessageDispatch:
         self._classes: dict[int, VehicleClass] = {}
 
     def forget(self, sysid: int) -> None:
-        """Forget a vehicle that makes room for another one, here and in every stage."""
-        self._stages.forget(sysid)
+        """Forget a vehicle that makes room for another one, here and in every stage.
+
+        The estimator forgets none: of one that was never proven it was told the class alone.
+        """
+        s = self._stages
+        for stage in (s.telemetry, s.proven, s.clocks, s.measurements, s.integrity, s.gps_health, s.aiding, s.vetted, s.ranges):
+            stage.forget(sysid)
         self._classes.pop(sysid, None)
 
     def add(self, message: FromVehicle, vehicle: ReportedState, last_round: Callable[[int], LastRound]) -> list[Outbound]:

@@ -5,7 +5,9 @@ Order: estimates -> integrity report -> GPS health -> aiding decision.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable
+from dataclasses import dataclass, field
 from math import inf
 
 from gcs_coloc.core.aiding.methods.method import FixInputs
@@ -27,10 +29,20 @@ from gcs_coloc.core.stations.node_id import is_station
 from gcs_coloc.core.telemetry.proven_vehicles import STEADY_S
 from gcs_coloc.core.telemetry.reported_state import ReportedState
 
-_NO_AIDING = AidingDecision()
 _AIR_DATA_REFUSED = "its airspeed and heading contradict its way over ground: not used; is its pitot tube clear?"
 _AIR_DATA_USED = "its airspeed and heading agree with its way over ground again: used"
 _WITNESS_AFTER_S = STEADY_S  # a vehicle that has just appeared has shown nothing yet; a window of ranges takes 1.4 s
+
+
+@dataclass(slots=True)
+class _Vehicle:
+    """What was decided last about the aiding of one vehicle, and where it is located (east, north)."""
+
+    decision: AidingDecision = field(default_factory=AidingDecision)
+    located_enu_m: tuple[float, float] | None = None
+
+
+_NOT_REVIEWED = _Vehicle()  # what is kept of a vehicle that was not reviewed: read, never written
 
 
 class FleetReview:
@@ -50,10 +62,9 @@ class FleetReview:
         self._stages = stages
         self._jumps = RangeJumps()
         self._overrides = overrides
-        self._decisions: dict[int, AidingDecision] = {}
+        self._vehicles: defaultdict[int, _Vehicle] = defaultdict(_Vehicle)
         self._denied: frozenset[int] = frozenset()
         self._witnesses: frozenset[int] = frozenset()
-        self._located_enu_m: dict[int, tuple[float, float]] = {}
         self._median_nis: dict[int, float] = {}
         self._jumps_m: dict[int, float] = {}
         self._air_data_refused: frozenset[int] = frozenset()
@@ -63,8 +74,7 @@ class FleetReview:
         """Forget a vehicle that makes room for another one, but for what the operator decided of it."""
         self.readiness.forget(sysid)
         self._jumps.forget(sysid)
-        self._decisions.pop(sysid, None)
-        self._located_enu_m.pop(sysid, None)
+        self._vehicles.pop(sysid, None)
         self._air_data_refused -= {sysid}
         if sysid in self._denied:
             self._denied -= {sysid}
@@ -72,7 +82,7 @@ class FleetReview:
 
     def decision(self, sysid: int) -> AidingDecision:
         """Return what aiding decided last about a vehicle."""
-        return self._decisions.get(sysid, _NO_AIDING)
+        return self._vehicles.get(sysid, _NOT_REVIEWED).decision
 
     def estimate(self, sysid: int, at_s: float) -> Estimate | NoEstimate:
         """Return the estimate of one vehicle at one service time, with its protection level."""
@@ -112,7 +122,7 @@ class FleetReview:
             is_witness=sysid in self._witnesses,
             is_aided=self.decision(sysid).is_aided,
             sent_fix=self._stages.aiding.sent_fix(sysid),
-            located_enu_m=self._located_enu_m.get(sysid),
+            located_enu_m=self._vehicles.get(sysid, _NOT_REVIEWED).located_enu_m,
         )
 
     def fix_inputs(self, sysid: int, now_s: float) -> FixInputs:
@@ -141,10 +151,9 @@ class FleetReview:
         return where
 
     def _set_located(self, sysid: int, where: Estimate | NoEstimate) -> None:
-        if isinstance(where, Estimate):
-            self._located_enu_m[sysid] = (float(where.position_enu_m[0]), float(where.position_enu_m[1]))
-        else:
-            self._located_enu_m.pop(sysid, None)
+        self._vehicles[sysid].located_enu_m = (
+            (float(where.position_enu_m[0]), float(where.position_enu_m[1])) if isinstance(where, Estimate) else None
+        )
 
     def review_integrity(self, now_s: float) -> list[Outbound]:
         """Test positions and ranges of the fleet against each other."""
@@ -186,7 +195,7 @@ class FleetReview:
     def decide_aiding(self, vehicle: ReportedState, now_s: float) -> tuple[Outbound, ...]:
         """Decide on the aiding of one vehicle; return what is to be sent and shown."""
         sysid, s = vehicle.sysid, self._stages
-        decision = self._decisions[sysid] = s.aiding.review(
+        decision = self._vehicles[sysid].decision = s.aiding.review(
             vehicle,
             s.gps_health[sysid].state,
             now_s,
