@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from gcs_coloc.evaluation.data_checks.checks import check_delays, run_checks
+from gcs_coloc.evaluation.data_checks.findings import FindingKind
 from gcs_coloc.evaluation.data_checks.recorded_data import PositionTrack, RecordedData, position_track
 
 END_S = 120.0
