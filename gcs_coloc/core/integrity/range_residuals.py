@@ -147,6 +147,11 @@ class RangeResidualBuffer:
         """Return the time of a vehicle's newest range whose residual was computed, s; None without one."""
         return max((samples[-1][0] for pair, samples in self._samples.items() if vehicle in pair), default=None)
 
+    def testable(self) -> set[int]:
+        """Return the vehicles with ranges of late whose other end has a position to test them with."""
+        pairs = {(m.from_vehicle, m.to_vehicle) for m in self._pending} | self._samples.keys()
+        return {a for i, j in pairs for a, b in ((i, j), (j, i)) if b in self._tracks}
+
     def epoch(self, now_s: float, detected: Collection[int] = ()) -> Epoch:
         """Return the epoch in the middle of the window that ends `WAIT_S` ago.
 
