@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from math import exp
 
 from gcs_coloc.core.integrity.epoch_tests.isolation import Isolation
@@ -31,16 +31,22 @@ class Detection:
         self._monitored_until_s = {v: until_s for v, until_s in self._monitored_until_s.items() if until_s > now_s}
         self.vehicles |= frozenset(self._monitored_until_s)
 
-    def add_samples(self, samples: Mapping[float, Isolation], suspected: Iterable[int], now_s: float) -> None:
+    def add_samples(
+        self,
+        samples: Mapping[float, Isolation],
+        explained: Sequence[frozenset[int]],
+        suspected: Iterable[int],
+        now_s: float,
+    ) -> None:
         """Add what independent samples show, by interval (s), none of them a fault of ranges alone.
 
-        `suspected` are the vehicles that several samples in a row allow to be at fault.
+        `explained` are the vehicles that the last sample of each interval allows to be at fault, `suspected` those that several
+        samples of one in a row do.
         """
         if not samples:
             return
         self._also |= {interval_s: sample.also for interval_s, sample in samples.items()}
         # One fault explains the contradictions at all intervals.
-        explained = [sample.possible for sample in samples.values() if sample.plausible]
         suspected = frozenset(suspected)
         in_all = {v for v in suspected | self._possible_until_s.keys() if all(v in each for each in explained)}
         self._possible_until_s |= dict.fromkeys(in_all or suspected, now_s + _CLEARED_AFTER_S)

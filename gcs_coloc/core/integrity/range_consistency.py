@@ -202,7 +202,7 @@ class RangeConsistency:
             elif coarse:
                 self._detection.limit_to(coarse, now_s)
             else:
-                self._detect(samples, now_s)
+                self._detect(samples, results.keys(), now_s)
         is_over = not results and now_s - self._tested_s > _HOLD_WINDOWS * WINDOW_S
         if is_over or (results and all(result.is_clear for result in results.values())):
             self._detection.end_of_tests()
@@ -235,7 +235,7 @@ class RangeConsistency:
                 # The positions agree without it.
                 persistence.reset()
                 continue
-            persistence.add(sample.isolated, sample.possible if sample.plausible else tests.results[interval_s].suspects)
+            persistence.add(sample, tests.results[interval_s].suspects)
             for vehicle, size_m in sample.isolated.items():
                 is_in_all = all(vehicle in each.possible for each in samples.values() if each.plausible)
                 if persistence.isolated[vehicle] < _IDENTIFY_AFTER or not is_in_all:
@@ -255,7 +255,11 @@ class RangeConsistency:
         for persistence in self._persistence.values():
             persistence.reset()
 
-    def _detect(self, samples: Mapping[float, Isolation], now_s: float) -> None:
+    def _detect(self, samples: Mapping[float, Isolation], tested: Collection[float], now_s: float) -> None:
+        """Detect the vehicles that the samples allow to be at fault.
+
+        The intervals that are `tested` (s) are sampled at different times: what the last sample of each allows counts.
+        """
         of_positions = {at: sample for at, sample in samples.items() if not sample.is_range_fault}
         suspected = {
             vehicle
@@ -264,7 +268,9 @@ class RangeConsistency:
             for vehicle, times in self._persistence[interval_s].possible.items()
             if times >= _DETECT_AFTER
         }
-        self._detection.add_samples(of_positions, suspected, now_s)
+        last = (self._persistence[interval_s].explained for interval_s in tested)
+        explained = [vehicles for vehicles in last if vehicles is not None]
+        self._detection.add_samples(of_positions, explained, suspected, now_s)
 
     def _may_be_coarse(self, vehicle: int, sample: Isolation, epoch: Epoch, past: Past) -> bool:
         """Return whether an isolated receiver may be sound, by its offset and the change of that."""

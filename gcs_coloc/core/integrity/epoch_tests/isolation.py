@@ -125,22 +125,27 @@ class Isolation:
 class IsolationPersistence:
     """How many samples in a row have isolated each vehicle, and have held it possible.
 
-    They are independent samples of one interval. `sampled_until_s` is the end of the last sample's window.
+    They are independent samples of one interval. `sampled_until_s` is the end of the last sample's window. `explained` are the
+    vehicles that the last sample's explanations allow to be at fault; None where it has none, or was consistent.
     """
 
     isolated: Counter[int] = field(default_factory=Counter)
     possible: Counter[int] = field(default_factory=Counter)
+    explained: frozenset[int] | None = None
     sampled_until_s: float = float("-inf")
 
-    def add(self, isolated: Collection[int], possible: Collection[int]) -> None:
-        """Add one sample."""
-        self.isolated = Counter({v: self.isolated[v] + 1 for v in isolated})
+    def add(self, sample: Isolation, suspects: Collection[int]) -> None:
+        """Add one sample; the `suspects` are possible where nothing explains it."""
+        self.explained = sample.possible if sample.plausible else None
+        possible = suspects if self.explained is None else self.explained
+        self.isolated = Counter({v: self.isolated[v] + 1 for v in sample.isolated})
         self.possible = Counter({v: self.possible[v] + 1 for v in possible})
 
     def reset(self) -> None:
         """Begin to count anew."""
         self.isolated.clear()
         self.possible.clear()
+        self.explained = None
 
 
 def isolate(now: Epoch, past: Past, troubled: Collection[int] = (), *, pairs_fail: bool = False) -> Isolation:

@@ -5,7 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from gcs_coloc.core.integrity import range_consistency
 from gcs_coloc.core.integrity.epoch_tests.epoch import INTERVALS_S, PERIOD_S, Epoch, EpochHistory
+from gcs_coloc.core.integrity.epoch_tests.fault_model import AdjustedHypothesis, FaultKind
+from gcs_coloc.core.integrity.epoch_tests.isolation import Isolation
 from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel
 from gcs_coloc.core.integrity.range_consistency import RangeConsistency
 from gcs_coloc.core.integrity.range_residuals import TrackPoint
@@ -105,6 +108,25 @@ def test_where_pairs_fail_a_vehicle_that_is_behind_an_obstacle_from_all_is_not_n
     for _ in fly(monitor, 24.0, seed, one_pair_then_half_of_them_and_then_all_of_4):
         assert not monitor.identified
     assert 4 in monitor.detected
+
+
+def test_what_one_interval_rules_out_holds_when_another_one_is_sampled_later(monkeypatch):
+    """The present leaves open which receiver is off, the changes leave one or its pair; they are sampled at different times."""
+    everyone, seen = tuple(PLACES_M), set()
+
+    def explain(now, past, *_, **__):
+        of_present = past[0] is None
+        seen.add((now.at_s, of_present))
+        faults = [(FaultKind.POSITIONS, (v,)) for v in (everyone if of_present else (4,))]
+        faults += [] if of_present else [(FaultKind.PAIR, (1, 4))]
+        return Isolation(everyone, tuple(AdjustedHypothesis(*fault, 1.0, 1.0, 3, 30.0) for fault in faults))
+
+    monkeypatch.setattr(range_consistency, "isolate", explain)
+    monitor = RangeConsistency()
+    walk = fly(monitor, 24.0, detours_m=no_detours, errors_m=lambda at_s: {4: (max(at_s - 14.0, 0.0) * 3.0, 0.0)})
+    assert {monitor.detected for at_s in walk if at_s > 18.0} == {frozenset({4})}
+    times = {of_present: {at_s for at_s, each in seen if each is of_present} for of_present in (True, False)}
+    assert times[True] - times[False]
 
 
 def test_what_was_detected_does_not_change_after_it_was_read():
