@@ -136,6 +136,11 @@ class Queue:
         self._waiting: deque[bytes] = deque()
         self._bytes = 0
 
+    @property
+    def size(self) -> int:
+        """How many bytes wait."""
+        return self._bytes
+
     def put(self, payload: bytes) -> None:
         """Append one payload."""
         self._waiting.append(payload)
@@ -162,6 +167,11 @@ class Outbox:
     def __init__(self, counts: Counts, most_bytes: int) -> None:
         self._bounds = (counts, most_bytes)
         self.clear()
+
+    @property
+    def size(self) -> int:
+        """How many bytes wait."""
+        return self._first.size + self._forwarded.size
 
     def put(self, payload: bytes, *, forwarded: bool = False) -> None:
         """Append one payload."""
