@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m, horizontal_dilution_of, horizontal_sigma_m, worst_sigma
-from gcs_coloc.estimators.qu_zhang.fix import horizontal_dilution
 
 
 def test_a_round_error_gives_chi_square_with_two_degrees_of_freedom():
@@ -55,7 +54,9 @@ def test_the_worst_of_three_directions_is_the_root_of_the_largest_eigenvalue():
 @given(st.lists(st.tuples(st.floats(0.0, 6.28), st.floats(-1.5, 1.5)), min_size=2, max_size=8))
 def test_the_quick_horizontal_dilution_is_the_thorough_one(directions) -> None:
     units = [(math.sin(a) * math.cos(up), math.cos(a) * math.cos(up), math.sin(up)) for a, up in directions]
-    thorough = float(horizontal_dilution(np.array(units)))
+    # trace((G'G)^-1) by the singular values of G, whose squares lose nothing.
+    singular = np.linalg.svd(np.array(units)[:, :2], compute_uv=False).tolist()
+    thorough = math.hypot(*(1.0 / each for each in singular)) if min(singular) > 1e-12 else math.inf
     quick = horizontal_dilution_of(units)
     # Below that the squares have lost what tells the directions apart; nobody flies by a dilution of a million.
     assert quick == pytest.approx(thorough, rel=1e-3) if thorough < 1e5 else quick > 1e4
