@@ -137,14 +137,14 @@ class IntegrityMonitor:
         separation = SolutionSeparation(epoch) if located and epoch.residuals else None
         levels: dict[int, FaultLevel] = {}
         also, unisolated = self._consistency.also, self._consistency.unisolated.ranges
-        testable = self._consistency.residuals.testable()
+        residuals = self._consistency.residuals
         unlocated = [v for v in vehicles if v.estimate is None and v.gps_state in DISTRUSTED and not v.is_witness]
-        untested_until_s = {v.sysid: now_s + _TESTED_WITHIN_S for v in unlocated if v.sysid in testable}
+        untested_until_s = {v.sysid: now_s + _TESTED_WITHIN_S for v in unlocated if residuals.is_testable(v.sysid)}
         for sysid, where in located:
-            ranged_at_s = self._consistency.residuals.ranged_at_s(sysid)
+            ranged_at_s = residuals.ranged_at_s(sysid)
             if separation is not None and ranged_at_s is not None and sysid in separation.vehicles:
                 levels[sysid] = fault_level(separation.of(sysid), where, ranged_at_s, self._protection, also, unisolated)
-            elif sysid in testable and now_s < (until_s := self._untested_until_s.get(sysid, now_s)):
+            elif now_s < (until_s := self._untested_until_s.get(sysid, now_s)) and residuals.is_testable(sysid):
                 untested_until_s[sysid] = until_s
             else:
                 # Until it has ranges, its last own position carries it; after them its last level does, which grows with time.

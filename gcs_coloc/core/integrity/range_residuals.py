@@ -10,6 +10,7 @@ from bisect import bisect_left, insort
 from collections import Counter, deque
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from math import dist, sqrt
 from statistics import median
 from typing import NamedTuple
@@ -147,10 +148,10 @@ class RangeResidualBuffer:
         """Return the time of a vehicle's newest range whose residual was computed, s; None without one."""
         return max((samples[-1][0] for pair, samples in self._samples.items() if vehicle in pair), default=None)
 
-    def testable(self) -> set[int]:
-        """Return the vehicles with ranges of late whose other end has a position to test them with."""
-        pairs = {(m.from_vehicle, m.to_vehicle) for m in self._pending} | self._samples.keys()
-        return {a for i, j in pairs for a, b in ((i, j), (j, i)) if b in self._tracks}
+    def is_testable(self, vehicle: int) -> bool:
+        """Return whether a vehicle has ranges of late whose other end has a position to test them with."""
+        pairs = chain(((m.from_vehicle, m.to_vehicle) for m in self._pending), self._samples)
+        return any(vehicle in pair and (pair[0] if pair[1] == vehicle else pair[1]) in self._tracks for pair in pairs)
 
     def epoch(self, now_s: float, detected: Collection[int] = ()) -> Epoch:
         """Return the epoch in the middle of the window that ends `WAIT_S` ago.

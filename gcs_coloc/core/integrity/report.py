@@ -61,8 +61,8 @@ class IntegrityReport:
 
     `faults`: the vehicles with a fault, identified or only detected. `separation_m2`: for each located vehicle the second moment
     (2, 2) of how far possible faults may have moved it, east and north, in m^2. `fault_levels`: of each vehicle that ranges
-    place, what its error does not exceed under the hypotheses that they test. `untested`: the vehicles without an estimate, or
-    with one that ranges alone have begun and that no range has tested yet. `reacquisitions`: the receivers that are back.
+    place, what its error does not exceed under the hypotheses that they test. `untested`: the vehicles that ranges alone
+    place, or are about to, and whose ranges are still to be tested. `reacquisitions`: the receivers that are back.
     `diverged`: the vehicles whose estimate is wrong, so that the estimator must initialise them again. `rejected_fixes`: how many
     receivers were back and found wrong, since the start. `noise`: how much worse ranges and positions are than they state;
     `range_excess_m2`: the variance that this gives the residuals of each pair, none where all is as stated.
