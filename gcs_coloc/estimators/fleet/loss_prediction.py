@@ -264,7 +264,8 @@ class _LossPrediction:
         linear.HA[0] = 0.0
         W = joint.correct_scalar(linear.HA, linear.variance_m2)
         joint.add_sensitivity(unknown, W, math.sqrt(linear.variance_m2))
-        record.neighbours[stream.node] = Neighbour(at_s, linear.unit, stream.pair, math.sqrt(linear.variance_m2))
+        sigma_m = math.sqrt(linear.variance_m2)
+        record.neighbours[stream.node] = Neighbour(at_s, linear.unit, stream.pair, sigma_m, 1.0 / stream.rate_hz)
         record.updated_at_s = at_s
 
 

@@ -26,7 +26,7 @@ from gcs_coloc.estimators.fleet.ambiguity.reflection import (
 )
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
-from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S, Neighbour, ReflectionEvidence, UnresolvedOutlier, VehicleRecord
+from gcs_coloc.estimators.fleet.ekf.records import Neighbour, ReflectionEvidence, UnresolvedOutlier, VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import POSITION, pair_key
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
@@ -52,7 +52,9 @@ def monitor_range(cluster: Cluster, vehicle: int, other: int, result: UpdateResu
         record.reflection_evidence = update_reflection_evidence(record.reflection_evidence, cluster, vehicle, other, result, m)
     if result.used:
         pair = pair_key(vehicle, other, m.device_id)
-        record.neighbours[other] = Neighbour(m.measured_at_s, result.unit, pair, result.sigma_m)
+        last = record.neighbours.get(other)
+        interval_s = 0.0 if last is None else last.interval_until_s(m.measured_at_s)
+        record.neighbours[other] = Neighbour(m.measured_at_s, result.unit, pair, result.sigma_m, interval_s)
         record.updated_at_s = m.measured_at_s
         outlier = record.unresolved_outlier
         if outlier is None or outlier.neighbour == other or _is_resolved(record, outlier, m.measured_at_s, cluster.settings):
@@ -100,7 +102,7 @@ def _is_resolved(record: VehicleRecord, refused: UnresolvedOutlier, at_s: float,
         since_s = at_s - neighbour.at_s
         # The turn may have begun as long again before: what it had done by then was within the gate.
         may_be_new = profile.reach_m(2.0 * since_s, profile.max_acceleration_mps2) >= displacement_m
-        if vehicle != refused.neighbour and not may_be_new and since_s <= IN_USE_S:
+        if vehicle != refused.neighbour and not may_be_new and since_s <= neighbour.in_use_s:
             e, n, _ = neighbour.unit
             ee, en, nn = ee + e * e, en + e * n, nn + n * n
     e, n, _ = refused.unit

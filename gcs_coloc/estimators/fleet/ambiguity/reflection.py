@@ -17,7 +17,6 @@ from gcs_coloc.estimators.fleet.ambiguity.curved_ranges import variance_across_m
 from gcs_coloc.estimators.fleet.ambiguity.peer_geometry import NEAR_SIGMAS, SEPARATED, PeerGeometry
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.process_model import fresh_air_data
-from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S
 from gcs_coloc.estimators.fleet.ekf.state import POSITION, SIZE, TURN, VELOCITY
 
 _SPEED_SIGMAS = 2.0  # chosen: a closing speed beyond two sigmas is known by its sign
@@ -218,7 +217,8 @@ def mixture(
 
 def _ranged_peers(cluster: Cluster, group: Collection[int], at_s: float) -> list[int]:
     """Return the peers with recent ranges, used or refused: a refused one separates the sides best."""
-    ranged = {v: t for vehicle in group for v, t in cluster.records[vehicle].last_range_s.items() if at_s - t <= IN_USE_S}
+    records = [cluster.records[vehicle] for vehicle in group]
+    ranged = {v: t for record in records for v, t in record.last_range_s.items() if at_s - t <= record.in_use_s(v)}
     return [v for v in ranged if v in cluster.joint.where and v not in group]
 
 

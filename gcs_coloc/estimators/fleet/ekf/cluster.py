@@ -14,7 +14,7 @@ from gcs_coloc.core.measurements import FloatArray, Vector3
 from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd, Transition, range_jacobian
 from gcs_coloc.estimators.fleet.ekf.air_data import steady_air_m2
 from gcs_coloc.estimators.fleet.ekf.process_model import fresh_air_data, set_transition, step_ends
-from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S, Records
+from gcs_coloc.estimators.fleet.ekf.records import Records
 from gcs_coloc.estimators.fleet.ekf.state import HEADING_ERROR, TIME_STAMP_OFFSET, VELOCITY, WIND, JointState, Key, ends
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
@@ -93,7 +93,7 @@ class Cluster:
         A peer that was initialised anew has lost its range errors with its states: its earlier ranges tell nothing of it now.
         """
         neighbours, where = self.records[vehicle].neighbours, self.joint.where
-        return {v: n.unit for v, n in neighbours.items() if abs(at_s - n.at_s) <= IN_USE_S and n.pair in where}
+        return {v: n.unit for v, n in neighbours.items() if abs(at_s - n.at_s) <= n.in_use_s and n.pair in where}
 
     def change_sigma(self, vehicle: int, where: slice, before: float, now: float) -> float:
         """Change the sigma of slow errors of a vehicle, and return the sigma now in force.

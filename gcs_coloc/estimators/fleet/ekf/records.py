@@ -29,6 +29,9 @@ from gcs_coloc.estimators.fleet.search.position_search import PositionSearch
 
 IN_USE_S = 2.0
 """Chosen: a neighbour whose range was used within so long is in use; two ranges may be lost at 1 Hz."""
+_IN_USE_INTERVALS = 3.0  # chosen: where ranges come more seldom, as many may be lost
+_IN_USE_MOST_S = 6.0  # chosen: over a longer time a range tells too little of where the vehicle is now
+_INTERVAL_SHARE = 0.2  # chosen: of the latest interval in their mean; one gap alone makes ranges no rarer
 _RECENT_S = 3.0
 _RECENT_MOST = 64
 """Chosen: own measurements from which an initialisation replays, enough for velocity; bounded in memory."""
@@ -65,13 +68,24 @@ class ReflectionEvidence(NamedTuple):
 class Neighbour:
     """The last used range between a denied vehicle and one neighbour.
 
-    Its time, a unit vector along it, the key of the pair, and the sigma of its innovation, m.
+    Its time, a unit vector along it, the key of the pair, the sigma of its innovation, m, and the mean interval of such ranges.
     """
 
     at_s: float
     unit: tuple[float, float, float]
     pair: PairKey
     sigma_m: float
+    interval_s: float = 0.0
+
+    @property
+    def in_use_s(self) -> float:
+        """How long after its last range a neighbour is in use, s: until its next one is overdue."""
+        return max(IN_USE_S, min(_IN_USE_INTERVALS * self.interval_s, _IN_USE_MOST_S))
+
+    def interval_until_s(self, at_s: float) -> float:
+        """Return the mean interval of its ranges with one more at a time."""
+        latest_s = min(at_s - self.at_s, _IN_USE_MOST_S)
+        return self.interval_s + _INTERVAL_SHARE * (latest_s - self.interval_s)
 
 
 _NOT_HEARD = Unlocated(NoEstimateReason.NOT_HEARD)
@@ -190,6 +204,11 @@ class VehicleRecord:
         """Forget what tests of ranges have shown of the states so far: others begin."""
         self.cusum = self.range_noise_inflation_m2 = 0.0
         self.unresolved_outlier = self.reflection_evidence = self.bias_window = None
+
+    def in_use_s(self, neighbour: int) -> float:
+        """Return how long after its last range a neighbour is in use."""
+        known = self.neighbours.get(neighbour)
+        return IN_USE_S if known is None else known.in_use_s
 
     def add_own(self, measurement: OwnMeasurement) -> None:
         """Keep a measurement of this vehicle's own, from which its state can be initialised."""

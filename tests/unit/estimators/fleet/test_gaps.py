@@ -40,7 +40,9 @@ BURST_S, PERIOD_S = 1.6, 3.8
 Path = Callable[[float], tuple[float, float]]
 
 
-def flown(vehicle_class: VehicleClass, path: Path, end_s: float, seed: int) -> list[tuple[float, float, float]]:
+def flown(
+    vehicle_class: VehicleClass, path: Path, end_s: float, seed: int, height_sigma_m: float | None = None
+) -> list[tuple[float, float, float]]:
     """Return times (s), errors and 95 % bounds (m) every 0.2 s, also within the gaps, where there is an estimate."""
     rng, estimator, told = np.random.default_rng(seed), FleetFilter(), []
     estimator.add(VehicleClassReport(DENIED, 0.0, 0.0, vehicle_class))
@@ -51,6 +53,8 @@ def flown(vehicle_class: VehicleClass, path: Path, end_s: float, seed: int) -> l
     for k in range(1, round(end_s / 0.2)):
         t = 0.2 * k
         within_s = t % PERIOD_S
+        if height_sigma_m is not None:
+            estimator.add(AltitudeMeasurement(DENIED, t, t, 0.0, height_sigma_m))
         if within_s < BURST_S:
             beacon = 1 + int(within_s / 0.4) % 4
             range_m = math.dist(path(t), BEACONS[beacon]) + SIGMA_M * rng.normal()
@@ -91,6 +95,20 @@ def test_a_manoeuvre_that_it_never_showed_is_in_the_bound_until_ranges_rule_it_o
         assert all(error < 2.0 * bound for error, bound in after)
         covered += [error < bound for error, bound in after]
     assert np.mean(covered) > 0.9
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_beacons_that_are_ranged_in_turns_leave_no_side_open(seed: int):
+    """Between the bursts only the last two beacons had been ranged within two seconds: the side of their line seemed open."""
+
+    def path(t: float) -> tuple[float, float]:
+        course = 0.05 * t + seed
+        return -6.0 + 22.0 * math.cos(course), 25.0 + 22.0 * math.sin(course)
+
+    end_s, begin_s = 160.0, 20.0
+    told = [(e, b) for t, e, b in flown(VehicleClass.GROUND, path, end_s, seed, height_sigma_m=0.1) if t > begin_s]
+    assert len(told) >= (end_s - begin_s) / 0.2 - 2
+    assert all(error < bound < 16.0 for error, bound in told)
 
 
 def leaving(t: float, leaves_s: float) -> float:
