@@ -51,7 +51,7 @@ def estimate_of_cluster(cluster: Cluster, vehicle: int, at_s: float) -> Estimate
         near_m2, far_m2 = curved
         far = covariance[:2, :2] + far_m2
         covariance[:2, :2] += near_m2
-    if record.presumed_bias is not None:
+    if record.unknown_bias is not None:
         unknown = unknown_bias_covariance(cluster, vehicle, step_s - offset_s)
         covariance += unknown
         if far is not None:

@@ -62,10 +62,19 @@ def _newest_height(record: VehicleRecord, at_s: float) -> AltitudeMeasurement | 
 
 
 def presume_bias(record: VehicleRecord, sigma_m: float, s: FleetSettings) -> None:
-    """Presume biases that nothing has shown, once a single range's sigma is so small that they matter."""
-    if record.presumed_bias is None and sigma_m < _TELLING_SIGMAS * s.unknown_device_bias_m:
-        device_m, pair_m = _MOST_OF_A_DEVICE * sigma_m, _MOST_OF_A_PAIR * sigma_m
-        record.presumed_bias = UnknownBias(min(s.unknown_device_bias_m, device_m), min(s.unknown_pair_bias_m, pair_m))
+    """Presume biases that nothing has shown.
+
+    They count at once where ranges are so precise that these matter, else once they are seen to be larger. `sigma_m` is the
+    stated sigma of a single range.
+    """
+    if record.unknown_bias is not None or s.unknown_device_bias_m <= 0.0:
+        return
+    telling = sigma_m < _TELLING_SIGMAS * s.unknown_device_bias_m
+    if telling or record.presumed_bias is None:
+        device_m, pair_m = min(s.unknown_device_bias_m, _MOST_OF_A_DEVICE * sigma_m), _MOST_OF_A_PAIR * sigma_m
+        telling_m = 0.0 if telling else sigma_m
+        record.presumed_bias = UnknownBias(device_m, min(s.unknown_pair_bias_m, pair_m), telling_m)
+    if telling:
         record.unknown_bias = record.presumed_bias
 
 
@@ -75,7 +84,7 @@ def unknown_errors(denied: Sequence[tuple[int, int, VehicleRecord]], pair: PairK
     return [
         (key, share)
         for vehicle, _, record in denied
-        if record.presumed_bias is not None
+        if record.unknown_bias is not None
         for key in (UnknownKey(vehicle, vehicle, vehicle), UnknownKey(*pair[:2], vehicle))
     ]
 

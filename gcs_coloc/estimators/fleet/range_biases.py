@@ -37,9 +37,10 @@ _LEAST_OBSERVED = 0.1
 """Chosen: a combination of biases counts as observed with a tenth of the information on the best observed one."""
 _GRID_M = [(device_m, pair_m) for device_m in _SIGMAS_M for pair_m in _SIGMAS_M]
 """Sigmas of the bias of a device and of that of each pair; the first is none."""
-_CHANGES = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)
-"""How large the errors of pairs may be, as multiples of what is presumed; chosen: up to 0.56 m, twice those among obstacles."""
-_CHANGE_LOG_RATIO = 3.0  # chosen: odds of twenty; that errors are larger than presumed costs no more than a wider bound
+_CHANGES = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.0, 16.0, 23.0, 32.0, 45.0, 64.0)
+"""How large the errors of pairs may be, as multiples of what is presumed; chosen: up to 4.5 m, as the largest of `_SIGMAS_M`."""
+_CHANGE_LOG_RATIO = 3.0
+"""Chosen: odds of twenty; that errors are larger than presumed costs no more than a wider bound."""
 _NO_HEIGHT_M2 = 1e-9  # chosen: far below the variance of any range
 _MOST_PAIRS = 24  # chosen: bounds the cost; as three times the peers in use
 _DIFFUSE_M = 1e3  # chosen: far beyond the lasting error of any range
@@ -88,10 +89,15 @@ class BiasWindow:
 
 
 class UnknownBias(NamedTuple):
-    """Sigmas of a device's and of each pair's lasting errors, m, neither shown nor ruled out."""
+    """Sigmas of lasting errors that ranges have neither shown nor ruled out, m.
+
+    One is that of the vehicle's device, the other that of each pair. They count once the latter is at least `telling_m`: coarse
+    ranges do not tell of less.
+    """
 
     device_m: float
     pair_m: float
+    telling_m: float = 0.0
 
 
 class PairBias(NamedTuple):
@@ -135,7 +141,7 @@ class RangeBiases:
         added = _information(window, self._mean_m)
         if added is None:
             return self
-        names, M, y, units = added
+        names, M, y, units, _ = added
         base = self._with_peers(names)
         kept = math.exp(-max(window.at_s - self.at_s, 0.0) / _MEMORY_S) if self.windows else 1.0
         index = [*(base.peers.index(name) for name in names), len(base.peers)]
@@ -145,19 +151,20 @@ class RangeBiases:
         lasting_m2 = {name: float(u @ peers_m2[name] @ u) for name, u in zip(names, units, strict=True)}
         evidence = kept * self.evidence
         if presumed is not None:
-            told = self._evidence(added, lasting_m2, window.height_m2, least_m, presumed)
-            evidence = evidence + told / _CORRELATED_WINDOWS
+            evidence = evidence + self._evidence(added, lasting_m2, window.height_m2, least_m, presumed) / _CORRELATED_WINDOWS
         after = replace(
             base, at_s=window.at_s, information=information, vector=vector, windows=self.windows + 1, evidence=evidence
         )
-        if presumed is not None:
-            presumed = presumed._replace(pair_m=after.change() * presumed.pair_m)
+        told = None if presumed is None else presumed._replace(pair_m=after.change() * presumed.pair_m)
+        if told is not None and told.pair_m < told.telling_m:
+            told = None
         if after.windows < _LEAST_WINDOWS or after.windows % _TEST_EVERY:
-            if presumed is None or self.unknown is None:
-                return replace(after, unknown=presumed)
-            return replace(after, unknown=self.unknown._replace(pair_m=presumed.pair_m))
+            if told is None or self.unknown is None:
+                return replace(after, unknown=told)
+            return replace(after, unknown=self.unknown._replace(pair_m=told.pair_m))
         observed = _observe(after, lasting_m2, window.height_m2, least_m)
-        return replace(after, found=_find(after, observed, least_m, presumed), unknown=_not_ruled_out(observed, presumed))
+        left_m = max(least_m, told.pair_m if told is not None else 0.0)
+        return replace(after, found=_find(after, observed, left_m, _left_share(presumed)), unknown=_not_ruled_out(observed, told))
 
     def change(self) -> float:
         """Return the multiple of what is presumed that the errors of pairs were seen to be, eq. (45)."""
@@ -180,7 +187,8 @@ class RangeBiases:
             device_m = self.unknown.device_m if self.unknown is not None else presumed.device_m
             others = others + device_m**2 * np.outer(is_pair, is_pair)
         models = np.array([others + (change * presumed.pair_m) ** 2 * np.diag(is_pair) for change in _CHANGES])
-        likelihood, _, _ = _log_likelihood(window.M, window.y - window.M @ mean, models)
+        M, y = _well_observed(window.M, window.y, window.best)
+        likelihood, _, _ = _log_likelihood(M, y - M @ mean, models)
         return likelihood
 
     def _mean_m(self, peer: Ranged) -> float:
@@ -208,12 +216,14 @@ class _Information(NamedTuple):
     """What a window tells of the biases of k pairs and of the height.
 
     M is (k + 1, k + 1) and y is (k + 1,), with the height last. `units` (k, 3) are the directions from the peers to the vehicle.
+    `best` is the information on the best known pair if the motion were known.
     """
 
     peers: list[Ranged]
     M: FloatArray
     y: FloatArray
     units: FloatArray
+    best: float
 
 
 def _information(window: BiasWindow, bias_m: Callable[[Ranged], float]) -> _Information | None:
@@ -258,7 +268,9 @@ def _information(window: BiasWindow, bias_m: Callable[[Ranged], float]) -> _Info
     spread = np.linalg.inv(np.eye(k + 1) + M @ C)
     M, y = spread @ M, spread @ y
     units = E[:, :k].T @ u / E[:, :k].sum(axis=0)[:, None]
-    return _Information(peers, 0.5 * (M + M.T), y, units)
+    weights = (EW @ E).diagonal()[:k]
+    best = float((weights / (1.0 + weights * C.diagonal()[:k])).max())
+    return _Information(peers, 0.5 * (M + M.T), y, units, best)
 
 
 class _Observed(NamedTuple):
@@ -274,13 +286,18 @@ class _Observed(NamedTuple):
     is_pair: FloatArray
 
 
+def _well_observed(M: FloatArray, y: FloatArray, best: float | None = None) -> tuple[FloatArray, FloatArray]:
+    """Return the information on the combinations of biases that have a tenth of the best information."""
+    # What only small changes of the geometry tell from a position error would be learned from the errors of this model.
+    values, modes = np.linalg.eigh(M)
+    observed = modes[:, values > _LEAST_OBSERVED * (values[-1] if best is None else best)]
+    return observed @ (observed.T @ M @ observed) @ observed.T, observed @ (observed.T @ y)
+
+
 def _observe(biases: RangeBiases, lasting_m2: Mapping[Ranged, float], height_m2: float | None, least_m: float) -> _Observed:
     """Return the well observed part of the information."""
     M, y, k = biases.information, biases.vector, len(biases.peers)
-    # What only small changes of the geometry tell from a position error would be learned from the errors of this model.
-    values, modes = np.linalg.eigh(M)
-    observed = modes[:, values > _LEAST_OBSERVED * values[-1]]
-    M, y = observed @ (observed.T @ M @ observed) @ observed.T, observed @ (observed.T @ y)
+    M, y = _well_observed(M, y)
     # What peers' positions and the own height err by lasts too, and is no bias.
     most_m2 = max(lasting_m2.values())
     others = np.diag([*(lasting_m2.get(peer, most_m2) + least_m**2 for peer in biases.peers), height_m2 or _NO_HEIGHT_M2])
@@ -315,9 +332,15 @@ def _log_likelihood(M: FloatArray, y: FloatArray, models: FloatArray) -> tuple[F
     return likelihood, inner, whole
 
 
-def _find(
-    biases: RangeBiases, observed: _Observed, least_m: float, presumed: UnknownBias | None
-) -> Mapping[Ranged | None, PairBias] | None:
+def _left_share(presumed: UnknownBias | None) -> float:
+    """Return how much of a bias that was found may be left, as a share of it.
+
+    As much as pairs of one device are presumed to differ; all of it where nothing is presumed or the ranges are coarse.
+    """
+    return 1.0 if presumed is None or presumed.telling_m > 0.0 else presumed.pair_m / presumed.device_m
+
+
+def _find(biases: RangeBiases, observed: _Observed, left_m: float, left_share: float) -> Mapping[Ranged | None, PairBias] | None:
     """Return the likeliest biases, None where none are likely enough, eq. (32)."""
     M, y, others, is_pair = observed
     k = len(is_pair) - 1
@@ -334,7 +357,7 @@ def _find(
     variances = device_m**2 + pair_m**2 - np.einsum("ij,jk,ik->i", B, np.linalg.solve(inner[best], M)[:k, :k], B)
     # A bias changes with attitude and distance, and differs between pairs in ways that a position explains: how much, nothing
     # but its size tells.
-    left_m = presumed.pair_m if presumed is not None else abs(float(mean[k]))
-    sigmas = np.sqrt(np.maximum(variances, max(left_m, least_m) ** 2))
+    size_m = max(abs(float(mean[k])), math.sqrt(float(mean[:k] @ mean[:k]) / k))
+    sigmas = np.sqrt(np.maximum(variances, max(left_m, left_share * size_m) ** 2))
     peers: tuple[Ranged | None, ...] = (*biases.peers, None)
     return {peer: PairBias(float(b), float(s)) for peer, b, s in zip(peers, mean, sigmas, strict=True)}

@@ -54,7 +54,7 @@ class PeerGeometry:
             + max(_largest_sigma_m(cluster, peer) for peer in self.peers)
         )
         record = cluster.records[denied_vehicle]
-        presumed = record.presumed_bias
+        presumed = record.presumed_bias if record.unknown_bias is not None else None
         self._lasting_m2 = 0.0 if presumed is None else presumed.pair_m**2
         largest_m2 = largest_sigma_m**2 + SEPARATED * self._lasting_m2
         self.largest_sigma_m = max(math.sqrt(largest_m2) if presumed is not None else largest_sigma_m, LEAST_SIGMA_M)

@@ -39,13 +39,14 @@ def observed(
     seed: int = 1,
     presumed: UnknownBias | None = None,
     changing_m: float = 0.0,
+    speed_m2ps2: float = 0.5,
 ) -> RangeBiases:
     """What a tag's ranges tell of their biases, at 10 Hz each, linearised 0.3 m and 0.5 m/s beside the truth.
 
     Each pair errs by `changing_m` (1-sigma) more, the same throughout a second.
     """
     rng = np.random.default_rng(seed)
-    biases, P = RangeBiases(), np.diag([0.1, 0.1, 1e-4, 0.5, 0.5, 1e-4])
+    biases, P = RangeBiases(), np.diag([0.1, 0.1, 1e-4, speed_m2ps2, speed_m2ps2, 1e-4])
     for second in range(seconds):
         velocity = (tag_at(second + 0.05) - tag_at(second - 0.05)) / 0.1
         state = np.concatenate([tag_at(second) + OFF_M, velocity + OFF_MPS])
@@ -93,6 +94,31 @@ def test_errors_of_pairs_that_change_by_more_than_presumed_are_counted(device_m,
     biases = observed(AROUND, [device_m] * 8, 40, seed, UnknownBias(0.2, 0.07), changing_m=0.2)
     left_m = biases.unknown.pair_m if biases.found is None else biases.bias(None).sigma_m
     assert 0.14 <= left_m <= 0.3
+
+
+@pytest.mark.parametrize("presumed", [UnknownBias(0.2, 0.07), UnknownBias(0.2, 0.07, telling_m=0.25)])
+@pytest.mark.parametrize("seed", range(3))
+def test_errors_of_pairs_of_metres_are_counted(presumed, seed):
+    biases = observed(AROUND, [0.0] * 8, 20, seed, presumed, changing_m=1.5)
+    left_m = biases.unknown.pair_m if biases.found is None else biases.bias(None).sigma_m
+    assert 1.0 <= left_m <= 2.5
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_coarse_ranges_do_not_tell_of_errors_of_pairs_that_are_small(seed):
+    assert observed(AROUND, [0.0] * 8, 40, seed, UnknownBias(0.2, 0.07, telling_m=0.25), changing_m=0.1).unknown is None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_two_peers_take_no_velocity_that_is_wrong_for_errors_of_pairs(seed):
+    biases = observed(AROUND[:2], [0.0] * 2, 40, seed, UnknownBias(0.2, 0.07), speed_m2ps2=0.05**2)
+    assert biases.unknown.pair_m == 0.07
+
+
+def test_a_bias_that_was_found_leaves_more_the_larger_it_is():
+    found = observed(AROUND, [1.0] * 8, 40, presumed=UnknownBias(0.2, 0.07)).bias((0, 0))
+    assert found.mean_m == pytest.approx(1.0, abs=0.15)
+    assert found.sigma_m == pytest.approx(0.35, abs=0.07), "pairs of one device differ by a third of its bias"
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -225,6 +251,35 @@ def test_coarse_ranges_are_treated_as_if_there_were_no_unknown_bias():
     plain, told = located(0.0, 1.0, **CALIBRATED), located(0.0, 1.0)
     for a, b in zip(plain, told, strict=True):
         np.testing.assert_array_equal(a.covariance, b.covariance)
+
+
+def test_coarse_ranges_that_err_by_as_much_for_ten_seconds_are_covered():
+    """As those of WLAN in a hall."""
+    sigma_m, anchors = 1.0, [(4.0 * e, 4.0 * n, u) for e, n, u in AROUND[:6]]
+    inside, beyond = [], []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        estimator = FleetFilter(FleetSettings(vehicle_class="indoor"))
+        for k, place in enumerate(anchors):
+            estimator.add(PositionMeasurement(k, 0.0, 0.0, place, 0.1, 0.1, static=True))
+        estimator.add(PositionMeasurement(TAG, 0.0, 0.0, tuple(tag_at(0.0).tolist()), 0.5, 0.1, (0.0, 0.0, 0.0), 0.6))
+        estimator.set_denied({TAG}, 0.01)
+        for n in range(1, 240):
+            t = 0.25 * n
+            if n % 40 == 1:
+                off_m = 1.5 * sigma_m * rng.normal(size=len(anchors))
+            estimator.add(AltitudeMeasurement(TAG, t, t, 1.0, 0.1))
+            for k, place in enumerate(anchors):
+                range_m = float(np.linalg.norm(tag_at(t) - place)) + off_m[k] + 0.1 * rng.normal()
+                estimator.add(RangeMeasurement(TAG, k, t, t, max(range_m, 0.0), sigma_m))
+            where = estimator.estimate(TAG, t)
+            if isinstance(where, Estimate) and t > 10.0:
+                e = (where.position_enu_m - tag_at(t))[:2]
+                nis = float(e @ np.linalg.solve(where.covariance[:2, :2], e))
+                inside.append(nis < 5.99)
+                beyond.append(nis > 9.0 * 5.99)
+    assert np.mean(inside) > 0.9
+    assert np.mean(beyond) == 0.0
 
 
 @pytest.mark.parametrize("bias_m", [-0.25, 0.25])
