@@ -56,7 +56,7 @@ class VehicleSurvey:
     `parameters`: those it told, by its own names; `parameter_kinds`: their MAV_PARAM_TYPE. `answers_only_to`: the system id
     under which it answered after it had not answered ours. `empty`: messages that came with impossible values only, such as a
     position of 0, 0. `peers`: the other ends of its ranges (node ids), whoever
-    measured.
+    measured. `has_unstamped_ranges`: ranges that it measured came without a time stamp.
     `readiness`: whether it would be located if its GPS failed now; None where the listening was too short to tell, or no GPS is
     healthy. `utc_minus_host_s`: its clock's UTC against this computer's; None where it does not know UTC.
     """
@@ -77,6 +77,7 @@ class VehicleSurvey:
     empty: frozenset[int] = frozenset()
     receiver: GpsReceiver | None = None
     peers: frozenset[int] = frozenset()
+    has_unstamped_ranges: bool = False
     answers_timesync: bool = False
     utc_minus_host_s: float | None = None
     readiness: VehicleReadiness | None = None

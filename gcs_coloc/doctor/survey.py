@@ -72,6 +72,7 @@ class _Vehicle:
     streams: Counter[Stream] = field(default_factory=Counter)
     empty: set[int] = field(default_factory=set)
     receiver: GpsReceiver | None = None
+    unstamped_ranges: int = 0
     answers_timesync: bool = False
     utc_minus_host_s: float | None = None
     duplicates: DuplicateIdDetector = field(default_factory=DuplicateIdDetector)
@@ -203,6 +204,7 @@ class Survey:
                 if sysid in pair and times >= LEAST_RANGES
                 for other in pair - {sysid}
             ),
+            has_unstamped_ranges=vehicle.unstamped_ranges >= LEAST_RANGES,
             answers_timesync=vehicle.answers_timesync,
             utc_minus_host_s=vehicle.utc_minus_host_s,
         )
@@ -225,6 +227,7 @@ class Survey:
                 vehicle.receiver = message
                 self._stations.add_receiver(message)
             case PeerRange():
+                vehicle.unstamped_ranges += message.measured_at_s is None
                 resolved = self._stations.resolve(message).message
                 self._ranges[frozenset((message.sysid, resolved.peer if resolved is not None else message.peer))] += 1
             case ParameterValue():

@@ -162,6 +162,14 @@ def test_what_stops_is_said_with_words(vehicle, words):
     assert words in stops[0].text
 
 
+def test_ranges_without_a_time_stamp_are_a_note_with_the_field_to_fill_in():
+    (finding,) = [finding for finding in said(replace(GOOD, has_unstamped_ranges=True)) if "time stamp" in finding.text]
+    assert finding.severity is Severity.NOTE
+    assert "time_usec" in finding.remedy
+    assert is_ready(said(replace(GOOD, has_unstamped_ranges=True)))
+    assert not any("time stamp" in finding.text for finding in said(GOOD))
+
+
 def test_a_silent_vehicle_with_signed_frames_may_want_the_key():
     (finding,) = said(replace(GOOD, parameters={}, is_signed=True))
     assert "give gcs-coloc its key" in finding.remedy

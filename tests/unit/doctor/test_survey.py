@@ -13,6 +13,7 @@ from gcs_coloc.core.telemetry.stream_requests import wanted_hz
 from gcs_coloc.doctor.parameters import AT_ONCE, MOST_TRIES, OWN_TRIES, RETRY_S, ParameterReader
 from gcs_coloc.doctor.survey import Survey
 from gcs_coloc.mavlink.encoder import STREAM_IDS
+from tests.packed_messages import peer_range
 from tests.signed_frames import Signer
 
 WANTED_HZ = {STREAM_IDS[stream]: hz for stream, hz in wanted_hz(Autopilot.ARDUPILOT).items()}
@@ -204,6 +205,15 @@ def test_ranges_count_for_both_ends_whoever_measured_and_a_single_one_for_nobody
         field.hear(0.5, 1, mavlink.MAVLink_named_value_float_message(1000, b"RNG2", 123.0))
     field.hear(0.5, 3, mavlink.MAVLink_named_value_float_message(1000, b"RNG1", 123.0))
     assert [v.peers for v in field.found()] == [{2}, {1}, set()]
+
+
+def test_ranges_without_a_time_stamp_are_noticed_of_whoever_measured_them(field):
+    field.beat(0.0, 1, 2, 3)
+    for k in range(2):
+        field.hear(0.5 + 0.1 * k, 1, peer_range(peer_system=2, time_usec=0, sequence=k))
+        field.hear(0.5 + 0.1 * k, 2, peer_range(peer_system=1, sequence=k))
+    field.hear(0.5, 3, peer_range(peer_system=1, time_usec=0))
+    assert [v.has_unstamped_ranges for v in field.found()] == [True, False, False]
 
 
 def test_the_vehicles_utc_is_held_against_the_hosts(field):
