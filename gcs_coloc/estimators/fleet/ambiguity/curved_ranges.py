@@ -22,7 +22,7 @@ from gcs_coloc.core.error_ellipse import error_ellipse
 from gcs_coloc.core.measurements import FloatArray, Vector3
 from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
-from gcs_coloc.estimators.fleet.ekf.state import POSITION, Key
+from gcs_coloc.estimators.fleet.ekf.state import POSITION, pair_key
 
 _STRAIGHT_SHARE = 0.1  # chosen: a slope that changes by less than this share within a sigma is as good as straight
 _NEAR_SIGMAS = 2.0  # chosen: of the 95 % of one direction, which is what the ranges leave open
@@ -181,15 +181,14 @@ def _distance_covariance(cluster: Cluster, pairs: list[_Pair], units: FloatArray
     ])  # fmt: skip
     for vehicle in moves:
         H[:, joint.where[vehicle]] = 0.0
+    errors: dict[tuple[int, int], list[slice]] = {}
+    for key, place in joint.where.items():
+        if isinstance(key, tuple):
+            errors.setdefault((key[0], key[1]), []).append(place)
     for row, (own, end, _) in zip(H, pairs, strict=True):
-        for key in joint.where:
-            if _is_pair(key, own.vehicle, end.vehicle):
-                row[joint.where[key]] = 1.0
+        for place in errors.get(pair_key(own.vehicle, end.vehicle, 0)[:2], ()):
+            row[place] = 1.0
     return joint.predict_measurement(H)[1]
-
-
-def _is_pair(key: Key, a: int, b: int) -> bool:
-    return isinstance(key, tuple) and key[0] == min(a, b) and key[1] == max(a, b)
 
 
 def _vector_m(own: RangeEnd, end: RangeEnd, behind_s: float) -> tuple[float, float, float]:
