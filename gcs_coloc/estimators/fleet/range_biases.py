@@ -24,7 +24,7 @@ import numpy as np
 from gcs_coloc.core.measurements import FloatArray
 
 _WINDOW_S = 1.0  # chosen: within a second a vehicle's path is a parabola; ranges to several peers at 5 Hz are enough for it
-_CORRELATED_WINDOWS = 5.0  # chosen: multipath of one window is in the next ones too; five of them say no more than one
+_CORRELATED_WINDOWS = 5  # chosen: multipath of one window is in the next ones too; five of them say no more than one
 _MEMORY_S = 1200.0  # chosen: a bias changes with temperature and the attitude of the antenna; twenty minutes are one flight
 _TEST_EVERY = 4  # chosen: windows between two tests, each of which costs a fifth of a millisecond
 _LEAST_WINDOWS = 8  # chosen: two tests; of fewer windows a slow error looks like a lasting one
@@ -150,21 +150,25 @@ class RangeBiases:
         vector[index] += y / _CORRELATED_WINDOWS
         lasting_m2 = {name: float(u @ peers_m2[name] @ u) for name, u in zip(names, units, strict=True)}
         evidence = kept * self.evidence
-        if presumed is not None:
-            evidence = evidence + self._evidence(added, lasting_m2, window.height_m2, least_m, presumed) / _CORRELATED_WINDOWS
+        # Of coarse ranges, which seldom have such errors, one of the windows that say the same is looked at.
+        every = 1 if presumed is None or presumed.telling_m == 0.0 else _CORRELATED_WINDOWS
+        if presumed is not None and (self.windows + 1) % every == 0:
+            told = self._evidence(added, lasting_m2, window.height_m2, least_m, presumed)
+            evidence = evidence + every / _CORRELATED_WINDOWS * told
         after = replace(
             base, at_s=window.at_s, information=information, vector=vector, windows=self.windows + 1, evidence=evidence
         )
-        told = None if presumed is None else presumed._replace(pair_m=after.change() * presumed.pair_m)
-        if told is not None and told.pair_m < told.telling_m:
-            told = None
+        unknown = None if presumed is None else presumed._replace(pair_m=after.change() * presumed.pair_m)
+        if unknown is not None and unknown.pair_m < unknown.telling_m:
+            unknown = None
         if after.windows < _LEAST_WINDOWS or after.windows % _TEST_EVERY:
-            if told is None or self.unknown is None:
-                return replace(after, unknown=told)
-            return replace(after, unknown=self.unknown._replace(pair_m=told.pair_m))
+            if unknown is None or self.unknown is None:
+                return replace(after, unknown=unknown)
+            return replace(after, unknown=self.unknown._replace(pair_m=unknown.pair_m))
         observed = _observe(after, lasting_m2, window.height_m2, least_m)
-        left_m = max(least_m, told.pair_m if told is not None else 0.0)
-        return replace(after, found=_find(after, observed, left_m, _left_share(presumed)), unknown=_not_ruled_out(observed, told))
+        left_m = max(least_m, unknown.pair_m if unknown is not None else 0.0)
+        found = _find(after, observed, left_m, _left_share(presumed))
+        return replace(after, found=found, unknown=_not_ruled_out(observed, unknown))
 
     def change(self) -> float:
         """Return the multiple of what is presumed that the errors of pairs were seen to be, eq. (45)."""

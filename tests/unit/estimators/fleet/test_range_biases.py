@@ -96,10 +96,11 @@ def test_errors_of_pairs_that_change_by_more_than_presumed_are_counted(device_m,
     assert 0.14 <= left_m <= 0.3
 
 
-@pytest.mark.parametrize("presumed", [UnknownBias(0.2, 0.07), UnknownBias(0.2, 0.07, telling_m=0.25)])
+@pytest.mark.parametrize(("presumed", "seconds"), [(UnknownBias(0.2, 0.07), 20), (UnknownBias(0.2, 0.07, telling_m=0.25), 100)])
 @pytest.mark.parametrize("seed", range(3))
-def test_errors_of_pairs_of_metres_are_counted(presumed, seed):
-    biases = observed(AROUND, [0.0] * 8, 20, seed, presumed, changing_m=1.5)
+def test_errors_of_pairs_of_metres_are_counted(presumed, seconds, seed):
+    # Of coarse ranges one window in five is looked at.
+    biases = observed(AROUND, [0.0] * 8, seconds, seed, presumed, changing_m=1.5)
     left_m = biases.unknown.pair_m if biases.found is None else biases.bias(None).sigma_m
     assert 1.0 <= left_m <= 2.5
 
