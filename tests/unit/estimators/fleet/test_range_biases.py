@@ -112,7 +112,7 @@ def test_coarse_ranges_do_not_tell_of_errors_of_pairs_that_are_small(seed):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_two_peers_take_no_velocity_that_is_wrong_for_errors_of_pairs(seed):
-    biases = observed(AROUND[:2], [0.0] * 2, 40, seed, UnknownBias(0.2, 0.07), speed_m2ps2=0.05**2)
+    biases = observed(AROUND[:2], [0.0] * 2, 120, seed, UnknownBias(0.2, 0.07), speed_m2ps2=0.05**2)
     assert biases.unknown.pair_m == 0.07
 
 
