@@ -192,8 +192,8 @@ def _ranges(vehicle: VehicleSurvey, fleet: frozenset[int]) -> Iterator[Finding]:
         yield note(f"ranges to {', '.join(vehicles)}, which are not heard: of no use unless they tell where they are")
     if vehicle.has_unstamped_ranges:
         yield note(
-            "its ranges have no time stamp: in fast flight one that comes late is metres off, and sound vehicles are suspected",
-            "fill in when each range was measured (time_usec of PEER_RANGE, RANGING_BEACON and DEBUG_VECT)",
+            "its ranges have no time stamp: in fast flight a late one is metres off, and sound vehicles may be suspected",
+            "fill in when each range was measured (time_usec; time_boot_ms of NAMED_VALUE_FLOAT)",
         )
     if len(known) >= LEAST_PEERS:
         yield right(f"ranges to {len(known)} others: {listed}")
