@@ -228,7 +228,7 @@ def readiness(
     first_seed: FirstSeedOption = 1,
     from_s: Annotated[
         float, typer.Option("--from", help="In a recording GPS is taken within 10 s from here, s.", min=0.0)
-    ] = 12.0,
+    ] = 70.0,
     jobs: JobsOption = 0,
     scheduler: SchedulerOption = None,
     resume: ResumeOption = None,

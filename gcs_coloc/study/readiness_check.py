@@ -7,7 +7,7 @@ fails at a random time. In recordings the operator's override takes it at random
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot, nan
 from pathlib import Path
 
@@ -51,8 +51,10 @@ CHECKED = (
 )
 """The classes of flights that are flown: all kinds of geometry, motion and noise, without faults."""
 _CLOSE = 0.2
-TAKEN_FROM_S = 12.0
-"""In a recording GPS is taken from here on. Chosen: after the first predictions."""
+_LOST_AT_S = (70.0, 100.0)
+"""In a random flight GPS fails at some time between these. Chosen: after a minute of predictions."""
+TAKEN_FROM_S = 70.0
+"""In a recording GPS is taken from here on. Chosen: the same."""
 _TAKEN_WITHIN_S = 10.0
 """And within so long. Chosen: the time between two predictions."""
 _TRUTH_WITHIN_S = 0.06
@@ -140,7 +142,8 @@ def _check(task: Task) -> list[Loss]:
 
 
 def _fly(name: str, seed: int) -> Loss | None:
-    fleet = SimulatedFleet(CLASSES[name], seed, CLASSES[name].lost_at_s[1] + HORIZON_S + 5.0)
+    drawn = replace(CLASSES[name], lost_at_s=_LOST_AT_S)
+    fleet = SimulatedFleet(drawn, seed, _LOST_AT_S[1] + HORIZON_S + 5.0)
     engine = Engine(load_estimator("fleet", {}), EngineSettings(request_streams=False))
     vehicle, told = fleet.denied[0], None
     at_s = 0.0

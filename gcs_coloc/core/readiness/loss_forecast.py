@@ -31,9 +31,9 @@ from gcs_coloc.core.readiness.vehicle_readiness import (
     node_names,
 )
 
-_MOST_HDOP_CHANGE = 1.3
-"""Chosen on 104 losses of 14 kinds, of which 72 % are told so, 91 % of these within 20 %; with 1.1 it were 52 and 94 %, with 1.5
-80 and 88 %. In flights that it was not chosen on it is 67 and 73 % (docs/results/readiness.md)."""
+_MOST_HDOP_CHANGE, _MOST_INFLATION = 1.3, 1.25
+"""Chosen on 65 losses of 15 kinds, of which 48 % are told so, 94 % of these within 20 %. With a change of 1.1 it were 22 and
+100 %, with 1.6 and any inflation 67 and 66 %. Flights that it was not chosen on: docs/results/readiness.md."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,8 @@ class LossSituation:
 
     `peers` are the reported positions of the nodes that it ranges; `epoch` the residuals of its ranges now, with zero values, and
     `stated_epoch` the same with their noise as stated. `velocity_enu_mps` is that of the vehicle, `turns_radps` the turn rates
-    that are held. `interval_s` is the mean time between its ranges.
+    that are held. `interval_s` is the mean time between its ranges. `recent_hdops` are those of the last minute; empty where it
+    was not followed for so long.
     """
 
     vehicle: int
@@ -53,6 +54,7 @@ class LossSituation:
     turns_radps: Mapping[int, float]
     interval_s: float
     exposure: Exposure
+    recent_hdops: Sequence[float] = ()
 
 
 def forecast(
@@ -65,6 +67,7 @@ def forecast(
     hdop_now, hdop = _hdop(answers[min(1, len(answers) - 1)]), _hdop(answers[-1])
     # What holds at the horizon counts from half of the way on.
     half_s, integrity = 0.5 * (begin_s + answers[-1].at_s), _expected_report(situation, answers[-1], begin_s)
+    as_filtered_m = _bound_m(answers[-1])
     answers = [integrity.inflate(a) if isinstance(a, Estimate) and a.at_s >= half_s > begin_s else a for a in answers]
     levels = _fault_level(situation, answers[0], begin_s, protection), _fault_level(situation, answers[-1], begin_s, protection)
     stated: list[Estimate | NoEstimate] = []
@@ -87,7 +90,7 @@ def forecast(
         _hpl_m(later),
         hdop_now,
         hdop,
-        _is_told(answers),
+        _is_told(situation.recent_hdops, answers, as_filtered_m),
     )
 
 
@@ -169,16 +172,18 @@ def _moved(situation: LossSituation, node: int, place: Vector3, span_s: float) -
     return HeldMotion(place, velocity, turns.get(node, 0.0)).in_formation_with(own).after(span_s).position
 
 
-def _is_told(answers: Sequence[Estimate | NoEstimate]) -> bool:
+def _is_told(recent_hdops: Sequence[float], answers: Sequence[Estimate | NoEstimate], as_filtered_m: float | None) -> bool:
     """Return whether the forecast states how large the later bound is.
 
-    It does where the geometry hardly changes on the way. Otherwise the bound depends on turns to come, which nobody knows. With
-    peers in one line, noise decides, and the filter remembers that noise for a while. With one node the same is true along the
-    circle around it.
+    It does where the geometry hardly changes on the way, and hardly did in the last minute. Otherwise the bound depends on turns
+    to come, which nobody knows. With peers in one line, noise decides, and the filter remembers that noise for a while. With one
+    node the same is true along the circle around it. What integrity adds to `as_filtered_m` depends on what its tests find next.
     """
-    hdops = [_hdop(answer) for answer in answers[1:]]
-    known = [hdop for hdop in hdops if hdop is not None]
-    return 0 < len(known) == len(hdops) and max(known) < min(IN_LINE_HDOP, _MOST_HDOP_CHANGE * min(known))
+    bound_m, ahead = _bound_m(answers[-1]), [_hdop(answer) for answer in answers[1:]]
+    if not recent_hdops or bound_m is None or as_filtered_m is None or bound_m > _MOST_INFLATION * as_filtered_m:
+        return False
+    known = [*recent_hdops, *(hdop for hdop in ahead if hdop is not None)]
+    return len(known) == len(recent_hdops) + len(ahead) and max(known) < min(IN_LINE_HDOP, _MOST_HDOP_CHANGE * min(known))
 
 
 def _hdop(answer: Estimate | NoEstimate) -> float | None:

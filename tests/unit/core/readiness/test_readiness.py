@@ -101,6 +101,12 @@ def test_half_a_minute_ahead_the_geometry_is_another_one() -> None:
     assert readiness.hdop > 2.0 * readiness.hdop_now
 
 
+def test_the_size_of_the_bound_is_told_once_the_geometry_was_steady_for_a_minute() -> None:
+    fleet = ReadyFleet(abreast(*AROUND))
+    assert not told(fleet, 40.0).is_told
+    assert told(fleet, 75.0).is_told
+
+
 def test_only_a_healthy_vehicle_has_a_readiness() -> None:
     fleet = ReadyFleet(abreast(*AROUND))
     assert told(fleet).state is ReadinessState.READY
