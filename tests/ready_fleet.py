@@ -83,7 +83,7 @@ class ReadyFleet:
         return self.readiness()
 
     def readiness(self) -> VehicleReadiness | None:
-        return next((v.readiness for v in self.engine.snapshot(self.t).vehicles if v.sysid == RANGED), None)
+        return self.engine.readiness(RANGED)
 
     @property
     def notices(self) -> list[str]:
