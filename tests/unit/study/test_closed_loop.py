@@ -18,8 +18,8 @@ from sitl_fakes.geodesy import WorldFrame
 from sitl_fakes.scenario import Scenario, load_scenario
 
 LOST_S = 20.0
-EARLY_LOST_S, EARLY_END_S = 10.0, 30.0
-"""Of a flight of which it matters only how the vehicle is located for 20 s: it was ranged for 10 s before."""
+EARLY_LOST_S, EARLY_END_S = 6.0, 20.0
+"""Of a flight of which it matters only how the vehicle is located for 14 s: it was ranged for 6 s before."""
 
 
 def uwb(**ranging: object) -> Scenario:
