@@ -135,9 +135,9 @@ def test_two_failed_vehicles_that_range_each_other_help_each_other():
             flight = Flight(FleetFilter(), {4, 5}, seed=seed)
             # Each hears two healthy ones only; what each lacks the other knows.
             flight.pairs = [(4, 1), (4, 2), (5, 2), (5, 3), *pairs]
-            flight.run(60.0)
+            flight.run(30.0)
             for vehicle in (4, 5):
-                where = flight.estimator.estimate(vehicle, 60.0)
+                where = flight.estimator.estimate(vehicle, 30.0)
                 assert isinstance(where, Estimate)
                 errors.append(math.sqrt(where.covariance[0, 0] + where.covariance[1, 1]))
                 assert flight.error_m(vehicle) < 4.0 * errors[-1] + 1.0
