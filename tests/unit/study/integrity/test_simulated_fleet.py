@@ -183,16 +183,21 @@ def longest_silence(found, sysid):
     return max(pairwise([60.0, *heard_s]), key=lambda pair: pair[1] - pair[0])
 
 
-def test_a_peer_without_radio_is_ranged_on():
-    found = messages(fleet_of("blackouts", seed=2, duration_s=200.0), 190.0)
-    begins_s, ends_s = longest_silence(found, 1)
+@pytest.fixture(scope="module")
+def blacked_out():
+    """What is heard of a fleet whose vehicles are without radio now and then."""
+    return messages(fleet_of("blackouts", seed=2, duration_s=200.0), 190.0)
+
+
+def test_a_peer_without_radio_is_ranged_on(blacked_out):
+    begins_s, ends_s = longest_silence(blacked_out, 1)
     assert 3.0 < ends_s - begins_s < 30.0
-    ranged_s = [m.received_at_s for m in found if isinstance(m, PeerRange) and (m.sysid, m.peer) == (DENIED, 1)]
+    ranged_s = [m.received_at_s for m in blacked_out if isinstance(m, PeerRange) and (m.sysid, m.peer) == (DENIED, 1)]
     assert sum(begins_s + 0.5 < at_s < ends_s - 0.5 for at_s in ranged_s) > 5
 
 
-def test_what_is_sent_to_a_vehicle_without_radio_is_lost():
-    _, ends_s = longest_silence(messages(fleet_of("blackouts", seed=2, duration_s=200.0), 190.0), DENIED)
+def test_what_is_sent_to_a_vehicle_without_radio_is_lost(blacked_out):
+    _, ends_s = longest_silence(blacked_out, DENIED)
     for sent_s, is_taken in ((ends_s - 0.5, False), (ends_s, True)):
         fleet = fleet_of("blackouts", seed=2, duration_s=200.0)
         messages(fleet, sent_s)
