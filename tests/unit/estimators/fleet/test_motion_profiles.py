@@ -24,7 +24,7 @@ from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 DENIED = 9
 PEERS = {1: (200.0, 0.0), 2: (-120.0, 170.0), 3: (-100.0, -180.0), 4: (30.0, 250.0)}
-STEP_S, LEARNED_S, END_S = 0.2, 25.0, 105.0
+STEP_S, LEARNED_S, END_S = 0.2, 25.0, 80.0
 
 
 def course(acceleration_mps2: float, rng: np.random.Generator) -> np.ndarray:
