@@ -39,18 +39,18 @@ def off_in_its_own_position_m(flight: Flight, from_s: float) -> float:
 
 @pytest.mark.parametrize("switch", ["auto", "off"])
 def test_a_jammed_aircraft_flies_on_our_positions_alone_once_its_primary_receiver_is_switched(switch):
-    flight, engine = flown(scenario(GpsJammed), 40.0, switch_primary=switch)
+    flight, engine = flown(scenario(GpsJammed), 30.0, switch_primary=switch)
     seen = sources(flight, LOST_S + 10.0)
     assert ("gps1" not in seen) is (switch == "auto")
-    seen_of_it = next(v for v in engine.snapshot(40.0).vehicles if v.sysid == DENIED)
+    seen_of_it = next(v for v in engine.snapshot(30.0).vehicles if v.sysid == DENIED)
     assert seen_of_it.gps_primary == ("ours" if switch == "auto" else None)
     assert seen_of_it.fix_acknowledged
 
 
 def test_standby_fails_over_without_dead_reckoning():
-    flight, engine = flown(scenario(GpsLost, 20.0), 40.0, standby=True)
+    flight, engine = flown(scenario(GpsLost, 14.0), 28.0, standby=True)
     assert set(sources(flight, 5.0)) == {"gps1", "gps2 injected"}
-    assert engine.snapshot(40.0).vehicles[0].aiding == "standby: sending 3D fix"
+    assert engine.snapshot(28.0).vehicles[0].aiding == "standby: sending 3D fix"
 
 
 def test_a_position_too_coarse_for_the_ekf_reaches_the_aircraft_by_external_estimates():

@@ -24,7 +24,7 @@ LOST_AND_AIDED_S = 45.0
 
 
 def test_a_nominal_flight_is_located_and_repeats_itself():
-    first, again = (fly_trial("planes", 2, duration_s=60.0) for _ in range(2))
+    first, again = (fly_trial("planes", 2, duration_s=LOST_AND_AIDED_S) for _ in range(2))
     assert first == again
     assert first.fix_s > 0.95 * first.under_aid_s > 0.0
     assert first.covered_s > 0.8 * first.fix_s
