@@ -24,7 +24,7 @@ FROM_S = 25.0
 
 
 def test_a_lost_gps_is_failed_at_once_and_the_aircraft_flies_on_what_it_is_sent():
-    out = fly_through(fault("gps_lost", at_s=20.0), duration_s=50.0)
+    out = fly_through(fault("gps_lost", at_s=20.0), duration_s=40.0)
     assert out.first(DENIED, "failed") < 22.0
     assert out.distrusted(0.0) == {DENIED}
     assert out.share_located(DENIED, 25.0) > 0.98
@@ -64,7 +64,7 @@ def test_the_height_of_a_px4_that_has_never_had_gps_is_stated_as_open_as_its_sid
 
 def test_a_px4_without_an_auxiliary_position_flies_on_vision_position_estimate():
     """As PX4 1.14 to 1.17, which have no other way in."""
-    out = fly_through(LOST, duration_s=60.0, autopilot="px4", params={"EKF2_AGP0_CTRL": 0.0, "EKF2_EV_CTRL": 1.0})
+    out = fly_through(LOST, duration_s=45.0, autopilot="px4", params={"EKF2_AGP0_CTRL": 0.0, "EKF2_EV_CTRL": 1.0})
     assert {s.truth.source for s in out.flight.samples[DENIED] if s.at_s > 20.0} == {"vision position"}
     assert out.worst_belief_m(DENIED, 20.0) < 1.5 * SOUND_M
     assert not any("not taken" in said for said in out.words(DENIED))
@@ -73,7 +73,7 @@ def test_a_px4_without_an_auxiliary_position_flies_on_vision_position_estimate()
 @pytest.mark.parametrize("switch_primary", ["off", "auto"])
 def test_a_px4_goes_on_with_a_faulty_receiver_unless_it_is_switched_off(switch_primary):
     walked_off = fault("gps_spoofed", at_s=20.0, speed_mps=5.0)
-    out = fly_through(walked_off, duration_s=60.0, mutual=True, autopilot="px4", switch_primary=switch_primary)
+    out = fly_through(walked_off, duration_s=48.0, mutual=True, autopilot="px4", switch_primary=switch_primary)
     assert out.first(DENIED, "failed") < 25.0
     assert ("its own GPS is switched off: it flies on the position that it is sent" in out.words(DENIED)) == (
         switch_primary == "auto"
