@@ -17,7 +17,6 @@ Section 5.5.1 and Table 5.1; Aerosonde parameters of Appendix E, Table E.2, with
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 GRAVITY_MPS2 = 9.80665  # source: standard gravity, ISO 80000-3
@@ -102,8 +101,9 @@ class LateralAircraft:
         k2 = self.rates(_ahead(x, k1, 0.5 * h), bank_cmd, wind_east_mps, wind_north_mps)
         k3 = self.rates(_ahead(x, k2, 0.5 * h), bank_cmd, wind_east_mps, wind_north_mps)
         k4 = self.rates(_ahead(x, k3, h), bank_cmd, wind_east_mps, wind_north_mps)
+        sixth = h / 6.0
         e, n, b, p, r, phi, psi, da, dr = [
-            xi + h / 6.0 * (a + 2.0 * b + 2.0 * c + d) for xi, a, b, c, d in zip(x, k1, k2, k3, k4, strict=True)
+            xi + sixth * (a + 2.0 * b + 2.0 * c + d) for xi, a, b, c, d in zip(x, k1, k2, k3, k4, strict=True)
         ]
         self.state = FlightState(e, n, b, p, r, phi, wrap_pi(psi), da, dr)
 
@@ -113,7 +113,8 @@ class LateralAircraft:
         It follows from the kinematics (34), the lateral model, the actuators and the inner loops.
         """
         _, _, beta, p, r, phi, psi, da, dr = x
-        d, v = self.derivatives, self.airspeed_mps
+        v, course = self.airspeed_mps, psi + beta
+        y_beta, y_p, y_r, y_da, y_dr, l_beta, l_p, l_r, l_da, l_dr, n_beta, n_p, n_r, n_da, n_dr = self.derivatives
         gravity_turn = GRAVITY_MPS2 * math.sin(phi) / v
         aileron_cmd = self._k_bank * (bank_cmd_rad - phi) - self._k_rate * p
         rudder_cmd = -self._k_yaw * (gravity_turn - r)
@@ -121,11 +122,11 @@ class LateralAircraft:
         aileron_cmd = max(-limit, min(limit, aileron_cmd))
         rudder_cmd = max(-limit, min(limit, rudder_cmd))
         return (
-            v * math.sin(psi + beta) + wind_east_mps,
-            v * math.cos(psi + beta) + wind_north_mps,
-            d.y_beta * beta + d.y_p * p + d.y_r * r + d.y_da * da + d.y_dr * dr + gravity_turn,
-            d.l_beta * beta + d.l_p * p + d.l_r * r + d.l_da * da + d.l_dr * dr,
-            d.n_beta * beta + d.n_p * p + d.n_r * r + d.n_da * da + d.n_dr * dr,
+            v * math.sin(course) + wind_east_mps,
+            v * math.cos(course) + wind_north_mps,
+            y_beta * beta + y_p * p + y_r * r + y_da * da + y_dr * dr + gravity_turn,
+            l_beta * beta + l_p * p + l_r * r + l_da * da + l_dr * dr,
+            n_beta * beta + n_p * p + n_r * r + n_da * da + n_dr * dr,
             p,
             r / math.cos(phi),
             (aileron_cmd - da) / _ACTUATOR_TIME_CONSTANT_S,
@@ -134,12 +135,22 @@ class LateralAircraft:
 
 
 def _ahead(x: State, rate: State, by_s: float) -> State:
-    a, b, c, d, e, f, g, h, i = [xi + ri * by_s for xi, ri in zip(x, rate, strict=True)]
-    return a, b, c, d, e, f, g, h, i
+    e, n, beta, p, r, phi, psi, da, dr = x
+    e1, n1, beta1, p1, r1, phi1, psi1, da1, dr1 = rate
+    return (
+        e + e1 * by_s,
+        n + n1 * by_s,
+        beta + beta1 * by_s,
+        p + p1 * by_s,
+        r + r1 * by_s,
+        phi + phi1 * by_s,
+        psi + psi1 * by_s,
+        da + da1 * by_s,
+        dr + dr1 * by_s,
+    )
 
 
-@dataclass(frozen=True, slots=True)
-class LateralDerivatives:
+class LateralDerivatives(NamedTuple):
     """Dimensional lateral derivatives at one airspeed, level flight, pitch angle zero (stability axes).
 
     `y_*` act on the rate of sideslip (1/s per rad or per rad/s), `l_*` on roll acceleration, `n_*` on yaw acceleration (1/s^2

@@ -53,6 +53,8 @@ class GaussMarkov:
         self._sigma = sigma
         self._time = correlation_time_s
         self._value: list[float] = (sigma * rng.standard_normal(axes)).tolist()
+        self._step_s = math.nan
+        self._keep = self._fresh = 0.0
 
     @property
     def value(self) -> list[float]:
@@ -61,8 +63,10 @@ class GaussMarkov:
 
     def advance(self, by_s: float) -> list[float]:
         """Move on by a time step and return the new value."""
-        keep = math.exp(-by_s / self._time) if self._time > 0.0 else 0.0
-        fresh = self._sigma * math.sqrt(1.0 - keep * keep)
+        if by_s != self._step_s:
+            self._step_s, self._keep = by_s, math.exp(-by_s / self._time) if self._time > 0.0 else 0.0
+            self._fresh = self._sigma * math.sqrt(1.0 - self._keep * self._keep)
+        keep, fresh = self._keep, self._fresh
         # As Python's floats: numpy's, one by one, cost three times as much in all that is reckoned with them.
         noise: list[float] = self._rng.standard_normal(len(self._value)).tolist()
         self._value = [keep * x + fresh * g for x, g in zip(self._value, noise, strict=True)]
