@@ -199,7 +199,7 @@ def elsewhere(vehicle: int) -> list[dict[str, object]]:
 
 @pytest.mark.parametrize("primary", [0, 1])
 def test_a_receiver_that_comes_back_elsewhere_is_not_believed_and_gps_primary_decides_whether_the_aircraft_is_saved(primary):
-    out = fly_through(*elsewhere(DENIED), duration_s=70.0, params={"GPS_PRIMARY": primary})
+    out = fly_through(*elsewhere(DENIED), duration_s=58.0, params={"GPS_PRIMARY": primary})
     assert out.first(DENIED, "recovering", "healthy", after_s=40.0) == float("inf")
     assert "its GPS is back but" in out.gps_reasons[DENIED]
     assert out.distrusted(0.0) == {DENIED}
@@ -211,7 +211,7 @@ def test_a_receiver_that_comes_back_elsewhere_is_not_believed_and_gps_primary_de
 
 
 def test_two_that_come_back_off_by_the_same_are_neither_believed():
-    out = fly_through(*elsewhere(4), *elsewhere(5), duration_s=70.0, scenario="two-failed")
+    out = fly_through(*elsewhere(4), *elsewhere(5), duration_s=58.0, scenario="two-failed")
     for sysid in (4, 5):
         assert out.first(sysid, "healthy", after_s=40.0) == float("inf")
         assert out.share_located(sysid, 41.0) > 0.95
@@ -220,7 +220,7 @@ def test_two_that_come_back_off_by_the_same_are_neither_believed():
 
 
 def test_three_of_four_that_come_back_off_by_the_same_are_not_believed_while_one_healthy_peer_is_ranged():
-    out = fly_through(*elsewhere(1), *elsewhere(2), *elsewhere(4), duration_s=65.0, mutual=True)
+    out = fly_through(*elsewhere(1), *elsewhere(2), *elsewhere(4), duration_s=58.0, mutual=True)
     for sysid in (1, 2, 4):
         assert out.first(sysid, "healthy", after_s=40.0) == float("inf")
     assert out.distrusted(0.0) == {1, 2, 4}
