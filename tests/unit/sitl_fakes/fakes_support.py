@@ -20,6 +20,7 @@ EXACT = {
     "airspeed_noise_mps": 0.0,
     "baro_sigma_m": 0.0,
 }
+_NUMBERS = {message.msgname: number for number, message in mavlink.mavlink_map.items()}
 GOOD_GPS = {"sigma_h_m": 0.5, "sigma_v_m": 0.5, "sigma_velocity_mps": 0.1, "correlation_time_s": 0.0}
 
 
@@ -49,7 +50,8 @@ class GroundStation:
 
 def parse(datagrams: list[Datagram], kind: str | None = None, sysid: int | None = None) -> list[Any]:
     """Decode with pymavlink; `kind` and the sending vehicle `sysid` select. Frames unknown to it come as UNKNOWN_<id>."""
-    wanted = (d for d in datagrams if sysid in (None, d.sysid))
+    number = _NUMBERS.get(kind)
+    wanted = (d for d in datagrams if sysid in (None, d.sysid) and number in (None, int.from_bytes(d.payload[7:10], "little")))
     messages = (message for d in wanted for message in mavlink.MAVLink(None).parse_buffer(d.payload) or [])
     return [m for m in messages if kind in (None, m.get_type())]
 
