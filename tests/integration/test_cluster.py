@@ -15,7 +15,7 @@ import pytest
 from brokers import wait_until
 from command_line import gcs_coloc
 from dask_processes import ROOT, Cluster, dask_cluster, fail, square, wait_to_be_killed, where
-from recorded_flight import write_flight
+from recorded_flight import early_loss, write_flight
 
 from gcs_coloc.core.errors import ClusterError, UsageError
 from gcs_coloc.runtime.dask_cluster import check_address
@@ -135,7 +135,7 @@ def test_recordings_are_judged_alike_though_a_worker_is_killed(own_cluster: Clus
     for name in "abcd":
         (tmp_path / "year" / name).mkdir(parents=True)
     flight = tmp_path / "year/a/flight.tlog"
-    write_flight(flight, 15.0)  # vehicle 4 is located from 12 s on
+    write_flight(flight, 10.0, early_loss(lost_s=5.0))  # vehicle 4 is located from 7 s on
     for name in "bcd":
         shutil.copy(flight, tmp_path / "year" / name)
     workers = [own_cluster.add_worker() for _ in range(2)]
