@@ -97,29 +97,29 @@ class FaultModel:
         # How a baseline changes with the free positions: (rows, 3, free states).
         axes = np.zeros((3, self.rows * self.epochs, 3))
         axes[np.arange(3), :, np.arange(3)] = 1.0
-        self._ends_without_prior = np.stack([self._jacobian(axis)[:, self._without_prior] for axis in axes], axis=1)
+        self._free_ends = np.stack([self._jacobian(axis)[:, self._without_prior] for axis in axes], axis=1)
 
     def explain(self, hypotheses: Sequence[Hypothesis], penalties: Sequence[float]) -> list[AdjustedHypothesis]:
         """Return the adjusted hypotheses whose fault the ranges determine, the cheapest first."""
         if not hypotheses:
             return []
         penalty = np.array(penalties)
-        moved = np.array([each.moved for each in hypotheses])
+        crossing = self._crossing(hypotheses)
         lengthened = np.array([each.lengthened for each in hypotheses])
         weights = self._weights(self._jacobian(self._baselines_m))[np.newaxis]
-        starts, of = self._starts(moved, lengthened, weights[0])
-        statistics, states = self._minimise(moved[of], lengthened[of], weights, starts, _COARSE_STEPS)
+        starts, of = self._starts(crossing, lengthened, weights[0])
+        statistics, states = self._minimise(crossing[of], lengthened[of], weights, starts, _COARSE_STEPS)
         likely = np.argsort(statistics + penalty[of], kind="stable")[:_CONTINUED]
         of = of[likely]
-        statistics, states = self._minimise(moved[of], lengthened[of], weights, states[likely], _NEWTON_STEPS)
+        statistics, states = self._minimise(crossing[of], lengthened[of], weights, states[likely], _NEWTON_STEPS)
         order = np.argsort(statistics + penalty[of], kind="stable").tolist()
         few = list(dict.fromkeys(of[order].tolist()))[:_REFINED]
         states = np.array([states[next(n for n in order if of[n] == h)] for h in few])
-        moved, lengthened = moved[few], lengthened[few]
-        weights = self._weights(self._jacobian(self._positions(moved, states)))
-        statistics, states = self._minimise(moved, lengthened, weights, states, _NEWTON_STEPS)
-        ranks = self._ranks(moved, lengthened, weights, states)
-        base = self._ranks(0.0 * moved[:1], 0.0 * lengthened[:1], weights[:1], states[:1])[0]
+        crossing, lengthened = crossing[few], lengthened[few]
+        weights = self._weights(self._jacobian(self._baselines(crossing, states)))
+        statistics, states = self._minimise(crossing, lengthened, weights, states, _NEWTON_STEPS)
+        ranks = self._ranks(crossing, lengthened, weights, states)
+        base = self._ranks(0.0 * crossing[:1], 0.0 * lengthened[:1], weights[:1], states[:1])[0]
         explanations = [
             AdjustedHypothesis(
                 hypotheses[h].kind,
@@ -172,17 +172,22 @@ class FaultModel:
         WA = weights @ A
         return np.asarray(weights - WA @ np.linalg.solve(A.T @ WA + MIN_INFORMATION_PER_M2 * np.eye(A.shape[1]), WA.T))
 
-    def _starts(self, moved: FloatArray, lengthened: FloatArray, weights: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
+    def _crossing(self, hypotheses: Sequence[Hypothesis]) -> FloatArray:
+        """Which baselines an offset crosses (tests, rows): 1 or -1 where one of the ends alone has it."""
+        moved = np.array([each.moved for each in hypotheses])
+        i, j = self._ends
+        return np.asarray((moved[:, :, i] - moved[:, :, j]).reshape(len(moved), -1))
+
+    def _starts(self, crossing: FloatArray, lengthened: FloatArray, weights: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
         """Return the states (starts, states) to start from, and the hypothesis of each.
 
         Each hypothesis starts with no fault. One with a large residual also starts from the two best of a ring of offsets.
         """
         projector = self._without_free(weights, self._jacobian(self._baselines_m))
         innovations = np.abs(self._ranges_m - np.linalg.norm(self._baselines_m, axis=1))[: self.rows]
-        crossing = moved[:, 0, self._ends[0]] != moved[:, 0, self._ends[1]]
-        largest_m = np.where(crossing, innovations, 0.0).max(axis=1)
+        largest_m = np.where(crossing[:, : self.rows], innovations, 0.0).max(axis=1)
         far = np.flatnonzero(largest_m > _NEAR_SHARE * self._ranges_m[: self.rows].min(initial=np.inf))
-        count, free = len(moved), len(self._without_prior)
+        count, free = len(crossing), len(self._without_prior)
         none, of = np.zeros((count, 2 + free)), np.arange(count)
         if not far.size:
             return none, of
@@ -191,38 +196,31 @@ class FaultModel:
         seeds: FloatArray = np.zeros((len(far), len(ring), 2 + free))
         seeds[:, :, :2] = largest_m[far, np.newaxis, np.newaxis] * ring
         seeded = np.repeat(far, len(ring))
-        left = self._residuals(moved[seeded], lengthened[seeded], seeds.reshape(-1, 2 + free))
+        states = seeds.reshape(-1, 2 + free)
+        left = self._residuals(self._baselines(crossing[seeded], states), lengthened[seeded], states)
         costs = ((left @ projector) * left).sum(axis=1).reshape(len(far), len(ring))
         best = np.argsort(costs, axis=1, kind="stable")[:, :2]
         chosen = seeds[np.arange(len(far))[:, np.newaxis], best].reshape(-1, 2 + free)
         return np.concatenate([none, chosen]), np.concatenate([of, np.repeat(far, 2)])
 
-    def _positions(self, moved: FloatArray, states: FloatArray) -> FloatArray:
+    def _baselines(self, crossing: FloatArray, states: FloatArray) -> FloatArray:
         """The baselines (tests, rows, 3) with the faults and the free positions of some states."""
-        tests = len(states)
-        shift: FloatArray = np.zeros((tests, self.epochs, self.vehicles, 3))
-        shift.reshape(tests, -1)[:, self._without_prior] = states[:, 2:]
-        shift[..., :2] += moved[..., np.newaxis] * states[:, np.newaxis, np.newaxis, :2]
-        i, j = self._ends
-        return np.asarray(self._baselines_m + (shift[:, :, i] - shift[:, :, j]).reshape(tests, -1, 3))
+        baselines_m: FloatArray = self._baselines_m + np.einsum("ras,ts->tra", self._free_ends, states[:, 2:])
+        baselines_m[..., :2] += crossing[..., np.newaxis] * states[:, np.newaxis, :2]
+        return baselines_m
 
-    def _residuals(self, moved: FloatArray, lengthened: FloatArray, states: FloatArray) -> FloatArray:
+    def _residuals(self, baselines_m: FloatArray, lengthened: FloatArray, states: FloatArray) -> FloatArray:
         added_m = (lengthened @ states[:, :2, np.newaxis])[..., 0]
-        return np.asarray(self._ranges_m - np.linalg.norm(self._positions(moved, states), axis=2) - added_m)
+        return np.asarray(self._ranges_m - np.linalg.norm(baselines_m, axis=2) - added_m)
 
-    def _design(self, moved: FloatArray, lengthened: FloatArray, states: FloatArray) -> FloatArray:
+    def _design(self, crossing: FloatArray, lengthened: FloatArray, baselines_m: FloatArray) -> FloatArray:
         """The derivative (tests, rows, states) of the ranges by fault and free positions."""
-        baselines_m = self._positions(moved, states)
         units = baselines_m / np.maximum(np.linalg.norm(baselines_m, axis=2, keepdims=True), MIN_SIGMA_M)
-        i, j = self._ends
-        J: FloatArray = np.zeros((len(states), self.rows * self.epochs, states.shape[1]))
-        J[:, :, :2] = (moved[:, :, i] - moved[:, :, j]).reshape(len(states), -1, 1) * units[..., :2]
-        J[:, :, :2] += lengthened
-        J[:, :, 2:] = np.einsum("tra,ras->trs", units, self._ends_without_prior)
-        return J
+        by_fault = crossing[..., np.newaxis] * units[..., :2] + lengthened
+        return np.concatenate([by_fault, np.einsum("tra,ras->trs", units, self._free_ends)], axis=2)
 
     def _minimise(
-        self, moved: FloatArray, lengthened: FloatArray, weights: FloatArray, states: FloatArray, steps: int
+        self, crossing: FloatArray, lengthened: FloatArray, weights: FloatArray, states: FloatArray, steps: int
     ) -> tuple[FloatArray, FloatArray]:
         """Return the smallest statistic that Gauss-Newton meets from some states, and the states there."""
         least: FloatArray = np.full(len(states), np.inf)
@@ -230,22 +228,24 @@ class FaultModel:
         damping = np.full(states.shape[1], MIN_INFORMATION_PER_M2)
         damping[:2] = _FAULT_INFORMATION_PER_M2
         for step in range(steps + 1):
-            left = self._residuals(moved, lengthened, states)
+            baselines_m = self._baselines(crossing, states)
+            left = self._residuals(baselines_m, lengthened, states)
             weighted = (weights @ left[..., np.newaxis])[..., 0]
             statistics = (left * weighted).sum(axis=1)
             is_better = statistics < least
             least, best = np.where(is_better, statistics, least), np.where(is_better[:, np.newaxis], states, best)
             if step == steps:
                 break
-            J = self._design(moved, lengthened, states)
-            information = J.transpose(0, 2, 1) @ (weights @ J) + np.diag(damping)
-            pull = (J.transpose(0, 2, 1) @ weighted[..., np.newaxis])[..., 0] - damping * states
+            J = self._design(crossing, lengthened, baselines_m)
+            transposed = J.transpose(0, 2, 1)
+            information = transposed @ (weights @ J) + np.diag(damping)
+            pull = (transposed @ weighted[..., np.newaxis])[..., 0] - damping * states
             states = states + np.linalg.solve(information, pull[..., np.newaxis])[..., 0]
         return least, best
 
-    def _ranks(self, moved: FloatArray, lengthened: FloatArray, weights: FloatArray, states: FloatArray) -> FloatArray:
+    def _ranks(self, crossing: FloatArray, lengthened: FloatArray, weights: FloatArray, states: FloatArray) -> FloatArray:
         """Return how many unknowns the ranges determine, by test."""
-        J = self._design(moved, lengthened, states)
+        J = self._design(crossing, lengthened, self._baselines(crossing, states))
         eigenvalues = np.linalg.eigvalsh(J.transpose(0, 2, 1) @ (weights @ J))
         least = np.maximum(_RANK_TOLERANCE * eigenvalues.max(axis=1, initial=0.0), MIN_INFORMATION_PER_M2)
         return np.asarray((eigenvalues > least[:, np.newaxis]).sum(axis=1))

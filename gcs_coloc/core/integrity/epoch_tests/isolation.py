@@ -274,26 +274,21 @@ def _hypotheses(now: Epoch, model: FaultModel, candidates: Sequence[int]) -> lis
     """Return the hypotheses of faults in the present epoch, and in both where there is an earlier one."""
     arrays = model.arrays
     found: list[Hypothesis] = []
-    nowhere, nothing = np.zeros((model.epochs, model.vehicles)), np.zeros((model.epochs * model.rows, 2))
 
-    def add(kind: FaultKind, who: tuple[int, ...], moved: FloatArray | None = None, lengthened: FloatArray | None = None) -> None:
+    def add(kind: FaultKind, who: tuple[int, ...], moved: FloatArray | float = 0.0, lengthened: FloatArray | float = 0.0) -> None:
         for lasting in range(1, model.epochs + 1):
-            epochs = (np.arange(model.epochs) < lasting).astype(float)
-            found.append(
-                Hypothesis(
-                    kind,
-                    who,
-                    np.outer(epochs, moved) if moved is not None else nowhere,
-                    np.kron(np.eye(model.epochs, 2) * epochs[:, np.newaxis], lengthened[:, np.newaxis])
-                    if lengthened is not None
-                    else nothing,
-                )
-            )
+            moved_in = np.zeros((model.epochs, model.vehicles))
+            lengthened_in = np.zeros((model.epochs, model.rows, 2))
+            for epoch in range(lasting):
+                moved_in[epoch] = moved
+                lengthened_in[epoch, :, epoch] = lengthened
+            found.append(Hypothesis(kind, who, moved_in, lengthened_in.reshape(-1, 2)))
 
     reporting = sum(not now.priors[vehicle].no_prior for vehicle in arrays.vehicles)
     for size in range(1, min(reporting // 2, len(candidates), MAX_SUBSET) + 1):
         for subset in combinations(candidates, size):
-            moved = np.isin(np.arange(model.vehicles), subset).astype(float)
+            moved = np.zeros(model.vehicles)
+            moved[list(subset)] = 1.0
             add(FaultKind.POSITIONS, tuple(arrays.vehicles[at] for at in subset), moved=moved)
     scale = arrays.ranges_m / float(arrays.ranges_m.mean())
     seen = set[bytes]()
