@@ -6,8 +6,8 @@ configuration.
     r_k = |p_k + o - s| + b + v_k
 
 p_k where the vehicle reports itself, o the lasting error of its receiver, s the station, b the lasting error of the ranges. No
-number of ranges averages o and b away: they are considered in the covariance. A station that has two places which the ranges do
-not tell apart, as above and beneath vehicles at one height, is not surveyed yet.
+number of ranges averages o and b away: they are further unknowns of the covariance, and where two places are compared. A station
+that has two places which the ranges do not tell apart, as above and beneath vehicles at one height, is not surveyed yet.
 
 Source: Y. Bar-Shalom et al., Estimation with Applications to Tracking and Navigation (2001), section 3.4 (nonlinear least
 squares); P. J. Huber, Robust Statistics (1981), for the weights; J. S. Vitter, ACM Trans. Math. Software 11 (1985), algorithm R,
@@ -159,11 +159,11 @@ def survey_position(samples: list[_Sample]) -> SurveyedPosition | SurveyProblem:
     angles = 2.0 * pi * np.arange(_DIRECTIONS) / _DIRECTIONS
     ring = np.array([(np.cos(angle), np.sin(angle), height) for angle in angles for height in _HEIGHTS])
     costs, states = _fit(centre + reach_m * ring, positions, ranges, white_m2)
-    best = states[int(np.argmin(costs))]
-    H, left = _linearised(best[np.newaxis], positions, ranges)
+    _, left = _linearised(states[[int(np.argmin(costs))]], positions, ranges)
     # Ranges that scatter more than they state know less; the median leaves out those that are blocked.
     scatter = 1.4826 * float(np.median(np.abs(left[0]) / np.sqrt(white_m2)))
-    P = _covariance(H[0], samples, white_m2 * max(scatter, 1.0) ** 2)
+    costs, states, covariances = _with_lasting_errors(states, samples, white_m2 * max(scatter, 1.0) ** 2)
+    best, P = states[int(np.argmin(costs))], covariances[int(np.argmin(costs))]
     apart = states[:, :3] - best[:3]
     is_other = np.einsum("si,ij,sj->s", apart, np.linalg.inv(P), apart) > _SAME_PLACE_SIGMAS**2
     if bool(np.any(is_other & (costs < float(costs.min()) + _OTHER_PLACE_COST))):
@@ -220,8 +220,7 @@ def _fit(starts: FloatArray, positions: FloatArray, ranges: FloatArray, variance
     cost = _cost(left, variances, x)
     diagonal = np.arange(4)
     for _ in range(_STEPS):
-        weights = np.minimum(1.0, _HUBER_SIGMAS * np.sqrt(variances) / np.maximum(np.abs(left), 1e-9)) / variances
-        weighted = (H * weights[..., np.newaxis]).swapaxes(1, 2)
+        weighted = (H * _weights(left, variances)[..., np.newaxis]).swapaxes(1, 2)
         N = weighted @ H
         N[:, diagonal, diagonal] += prior
         N[:, diagonal, diagonal] += damping[:, np.newaxis] * (N[:, diagonal, diagonal] + 1e-12)
@@ -236,16 +235,30 @@ def _fit(starts: FloatArray, positions: FloatArray, ranges: FloatArray, variance
     return cost, x
 
 
-def _covariance(H: FloatArray, samples: list[_Sample], variances: FloatArray) -> FloatArray:
-    """Return a station's covariance (3, 3), m^2, with the lasting errors of ranges and receivers."""
+def _with_lasting_errors(
+    x: FloatArray, samples: list[_Sample], variances: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return costs, states and covariances of S places with the lasting errors of receivers.
+
+    Costs are (S,), states (S, 4), covariances of the places (S, 3, 3) in m^2. The errors are further unknowns of one linear step
+    from each of S states. Without them a wrong place can fit better than the right
+    one by far, where receivers are off by more than the ranges scatter.
+    """
+    positions, ranges = np.array([s.position_m for s in samples]), np.array([s.range_m for s in samples])
     vehicles = sorted({s.vehicle for s in samples})
     owner = np.array([vehicles.index(s.vehicle) for s in samples])
-    offsets = np.zeros((len(samples), len(vehicles), 3))
-    offsets[np.arange(len(samples)), owner] = -H[:, :3]
-    A = np.concatenate([H, offsets.reshape(len(samples), -1)], axis=1)
     sigmas_m = [max(s.position_sigma_m for s in samples if s.vehicle == vehicle) for vehicle in vehicles]
-    information = [*[_LEAST_INFORMATION_PER_M2] * 3, _BIAS_SIGMA_M**-2, *np.repeat(np.power(sigmas_m, -2.0), 3)]
-    return np.asarray(np.linalg.inv((A.T / variances) @ A + np.diag(information))[:3, :3])
+    H, left = _linearised(x, positions, ranges)
+    offsets = np.zeros((*left.shape, len(vehicles), 3))
+    offsets[:, np.arange(len(samples)), owner] = -H[:, :, :3]
+    A = np.concatenate([H, offsets.reshape(*left.shape, -1)], axis=2)
+    information = np.array([*[_LEAST_INFORMATION_PER_M2] * 3, _BIAS_SIGMA_M**-2, *np.repeat(np.power(sigmas_m, -2.0), 3)])
+    weighted = (A * _weights(left, variances)[..., np.newaxis]).swapaxes(1, 2)
+    pull = (weighted @ left[..., np.newaxis])[..., 0]
+    pull[:, 3] -= information[3] * x[:, 3]
+    inverse = np.linalg.inv(weighted @ A + np.diag(information))
+    step = (inverse @ pull[..., np.newaxis])[..., 0]
+    return _cost(left, variances, x) - (pull * step).sum(axis=1), x + step[:, :4], inverse[:, :3, :3]
 
 
 def _linearised(x: FloatArray, positions: FloatArray, ranges: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -254,6 +267,11 @@ def _linearised(x: FloatArray, positions: FloatArray, ranges: FloatArray) -> tup
     distances = np.maximum(np.linalg.norm(d, axis=2), 1e-6)
     H = np.concatenate([d / distances[..., np.newaxis], np.ones((*distances.shape, 1))], axis=2)
     return H, ranges - distances - x[:, 3:]
+
+
+def _weights(left: FloatArray, variances: FloatArray) -> FloatArray:
+    """Return Huber's weights (S, N) of residuals, 1/m^2."""
+    return np.asarray(np.minimum(1.0, _HUBER_SIGMAS * np.sqrt(variances) / np.maximum(np.abs(left), 1e-9)) / variances)
 
 
 def _cost(left: FloatArray, variances: FloatArray, x: FloatArray) -> FloatArray:

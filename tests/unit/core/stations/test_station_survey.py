@@ -84,6 +84,23 @@ def test_a_side_that_the_ranges_leave_open_gives_no_position(case):
         assert told == [SurveyProblem.AMBIGUOUS]
 
 
+def test_two_heights_no_further_apart_than_receivers_err_leave_the_side_open():
+    """Copters circle at 60 and 64 m; the higher one's receiver is 6 m too low, twice what it states: above fits better."""
+    survey = StationSurvey()
+    rng = np.random.default_rng(1)
+    for k in range(600):
+        t = 0.2 * k
+        for vehicle, up_m, off_m in ((1, 60.0, 0.0), (2, 64.0, -6.0)):
+            angle = t / 10.0 + vehicle
+            east_m, north_m = 80.0 * cos(angle), 80.0 * sin(angle)
+            velocity = (-8.0 * sin(angle), 8.0 * cos(angle), 0.0)
+            report = PositionMeasurement(vehicle, t, t, (east_m, north_m, up_m + off_m), 3.0, 3.0, velocity)
+            range_m = dist((east_m, north_m, up_m), (20.0, 10.0, 0.0)) + rng.normal(0.0, 0.1)
+            survey.add(RangeMeasurement(vehicle, NODE, t, t, range_m, 0.1), report)
+        survey.solve_next()
+        assert not survey.found
+
+
 def test_a_station_far_off_to_one_side_is_told_as_coarse_and_each_reason_once():
     """Later in the flight its height is known well enough to tell two places apart, for a while."""
     found, told = surveyed(1, place=(20_000.0, 0.0, 0.0))
