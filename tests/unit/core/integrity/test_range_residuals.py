@@ -35,9 +35,29 @@ def test_where_most_ranges_are_late_the_sigma_covers_the_error():
 
 
 def test_few_ranges_use_a_longer_window_and_too_few_make_no_residual():
-    # Every 0.5 s: two in the last second, three in the last 1.4 s.
-    assert len(residuals_of([APART_M] * 6, every_s=0.5)) == 1
-    assert residuals_of([APART_M] * 6, every_s=0.9) == ()
+    # Every 0.9 s: two in the last second, four in the last three.
+    assert len(residuals_of([APART_M] * 6, every_s=0.9)) == 1
+    assert residuals_of([APART_M] * 6, every_s=1.6) == ()
+
+
+def test_of_few_ranges_the_newest_five_count():
+    # Every 0.3 s: four in the last second, ten in the last three.
+    (residual,) = residuals_of([APART_M + 90.0] * 6 + [APART_M + 2.0] * 5, every_s=0.3)
+    assert residual.residual_m == pytest.approx(2.0)
+    assert residual.sigma_m == pytest.approx(np.sqrt(1.57 / 5 + 0.1), rel=1e-6)
+
+
+def test_ranges_that_have_stopped_soon_make_no_residual():
+    residuals = RangeResidualBuffer()
+    for k in range(21):
+        t = 0.2 * k
+        for vehicle, east_m in ((1, 0.0), (2, APART_M)):
+            residuals.add_position(vehicle, TrackPoint(t, (east_m, 0.0, 100.0), (0.0, 0.0, 0.0), 1.5, 2.0, no_prior=False))
+        if t < 2.1:
+            residuals.add_range(RangeMeasurement(1, 2, t, t, APART_M, 1.0))
+    # The newest was measured 2.0 s after the start.
+    assert len(residuals.epoch(3.3 + WAIT_S).residuals) == 1
+    assert residuals.epoch(3.5 + WAIT_S).residuals == ()
 
 
 def test_between_two_reports_a_position_is_extrapolated_from_the_nearer_one():
