@@ -78,16 +78,18 @@ def check_ranges(data: RecordedData, *, trust_truth: bool) -> Iterator[DataFindi
         explained = choose(_explanations(bad, attributed), bad.residual_m)
         if explained is not None:
             yield explained
+            if explained.kind is FindingKind.RANGE_BIAS:
+                yield from _mean_findings([pair for pair in pairs if pair not in suspect], pairs, data.names)
         elif bad.residual_m > _UNEXPLAINED_SIGMAS * bad.sigma_m:
             yield finding(FindingKind.RANGE_RESIDUAL, bad.residual_m, attributed.ranges, sigma_m=bad.sigma_m)
     else:
-        yield from _mean_findings(pairs, data.names)
+        yield from _mean_findings(pairs, pairs, data.names)
 
 
-def _mean_findings(pairs: list[RangePair], names: Mapping[int, str]) -> Iterator[DataFinding]:
+def _mean_findings(pairs: list[RangePair], among: list[RangePair], names: Mapping[int, str]) -> Iterator[DataFinding]:
     """Yield the ranges that are off in the mean, though each of them is within its sigma.
 
-    More ranges do not average that away.
+    More ranges do not average that away. `among` are all pairs, which tell what those that are off have in common.
     """
     means = [pair.mean_m() for pair in pairs]
     off = [
@@ -99,7 +101,9 @@ def _mean_findings(pairs: list[RangePair], names: Mapping[int, str]) -> Iterator
         return
     suspect, values = [pair for pair, _ in off], [mean_m for _, mean_m in off]
     expected_m = float(np.median([sigma_m for pair, (_, sigma_m) in zip(pairs, means, strict=True) if pair in suspect]))
-    mean_m, who = float(np.mean(values)), _attribute(suspect, pairs, names).ranges
+    who = _attribute(suspect, among, names).ranges
+    # What is off to both sides has no common mean: the worst is told.
+    mean_m = float(np.mean(values)) if min(values) * max(values) > 0.0 else max(values, key=abs)
     span = f"{min(values):+.2f} to {max(values):+.2f} m by pair"
     yield finding(FindingKind.RANGE_MEAN, mean_m, who, span=span, sigma_m=expected_m)
 

@@ -214,19 +214,38 @@ def test_a_fleet_in_formation_has_no_clock_to_compare_but_a_unit():
     assert (finding.kind, finding.value) == ("range_factor", pytest.approx(1000.0, rel=0.01))
 
 
-def test_the_positions_of_anchors_are_compared_with_the_ranges():
+def walk_among_anchors(off_m: tuple[float, float, float]) -> RecordedData:
+    """A walk among three anchors, the ranges to each of which are off."""
     rng = np.random.default_rng(2)
     t = np.arange(0.0, 60.0, 0.1)
     walk = np.column_stack((10.0 + 0.3 * t, 5.0 + 8.0 * np.sin(t / 9.0), np.full(len(t), 1.0)))
     places = {2: (0.0, 0.0, 2.0), 3: (40.0, 3.0, 3.0), 4: (5.0, 30.0, 1.0)}
-    rows = [
-        np.column_stack(
-            (t, np.full((len(t), 2), (1, v)), np.linalg.norm(walk - p, axis=1) + rng.normal(0.0, 0.1, len(t)), 0.1 + 0.0 * t)
-        )
-        for v, p in places.items()
-    ]
+    rows = []
+    for (v, p), off in zip(places.items(), off_m, strict=True):
+        range_m = np.linalg.norm(walk - p, axis=1) + off + rng.normal(0.0, 0.1, len(t))
+        rows.append(np.column_stack((t, np.full((len(t), 2), (1, v)), range_m, np.full(len(t), 0.1))))
     anchors = {v: PositionTrack(np.zeros(1), np.array([p]), np.array([0.02]), is_static=True) for v, p in places.items()}
-    data = RecordedData({v: f"A{v}" for v in range(1, 5)}, anchors, {1: PositionTrack(t, walk, 0.0 * t)}, np.vstack(rows))
+    names = {v: f"A{v}" for v in range(1, 5)}
+    return RecordedData(names, anchors, {1: PositionTrack(t, walk, np.zeros(len(t)))}, np.vstack(rows))
+
+
+def test_beside_one_device_that_is_far_off_the_others_are_told_too():
+    """One radio was named, and that all are off by two sigmas was not."""
+    far, mean = run_checks(walk_among_anchors((1.0, 0.2, 0.2)))
+    assert (far.kind, mean.kind) == ("range_bias", "range_mean")
+    assert "A2" in far.text
+    assert mean.value == pytest.approx(0.2, abs=0.03)
+    assert "A1-A3, A1-A4" in mean.text
+
+
+def test_ranges_that_are_off_to_both_sides_are_not_told_to_be_right_in_the_mean():
+    (finding,) = run_checks(walk_among_anchors((0.2, -0.25, 0.0)))
+    assert (finding.kind, finding.value) == ("range_mean", pytest.approx(-0.25, abs=0.03))
+
+
+def test_the_positions_of_anchors_are_compared_with_the_ranges():
+    data = walk_among_anchors((0.0, 0.0, 0.0))
+    anchors = data.reports
     assert run_checks(data) == []
     swapped = {
         v: PositionTrack(a.times_s, a.positions_enu_m[:, (1, 0, 2)], a.sigmas_m, is_static=True) for v, a in anchors.items()
