@@ -39,6 +39,12 @@ _SUSPECT_SIGMAS = 5.0
 _REPEATED_SHARE = 0.5
 """Share of a pair's ranges of one time that are the same, from which they are repeats; chosen: of three tags with steps of a
 centimetre and a noise of 3 cm some 20 % are, of a table that was written twice all."""
+_STUCK_S = 10.0
+_STUCK_ROWS = 20
+"""A range repeats one value for so long and so often before it is told; chosen: a vehicle that stands still has other noise."""
+_CHANGE_SHARE = 0.5
+"""Share of another pair's ranges that differ from the one before, from which the vehicle is known to be measured anew; chosen:
+radios with steps of a tenth of their noise repeat 3 %, a table with twice as many rows as measurements 50 %."""
 _FOOT_M = 0.3048
 """ISO 31-1."""
 _FAR_SIGMAS = 100.0
@@ -70,6 +76,7 @@ def run_checks(data: RecordedData) -> list[DataFinding]:
         *join_vehicles(_height_findings(data)),
         *join_vehicles(_velocity_findings(data)),
         *_check_repeats(data),
+        *_check_stuck(data),
     ]
 
 
@@ -120,6 +127,31 @@ def _check_repeats(data: RecordedData) -> Iterator[DataFinding]:
     count = int((keys[1:] == keys[:-1]).all(axis=1).sum())
     if count > _REPEATED_SHARE * at_one_time:
         yield finding(FindingKind.REPEATED_RANGES, count)
+
+
+def _check_stuck(data: RecordedData) -> Iterator[DataFinding]:
+    """Yield the pairs whose ranges repeat one value, where those of another pair of the vehicle change."""
+    ends = np.sort(data.ranges[:, 1:3], axis=1).astype(int)
+    pairs: dict[tuple[int, int], FloatArray] = {}
+    for a, b in np.unique(ends, axis=0).tolist():
+        rows = data.ranges[(ends == (a, b)).all(axis=1)][:, (0, 3)]
+        pairs[a, b] = rows[np.argsort(rows[:, 0], kind="stable")]
+    for pair, rows in pairs.items():
+        begins = np.flatnonzero(np.concatenate(([True], rows[1:, 1] != rows[:-1, 1])))
+        ends_at = np.concatenate((begins[1:], [len(rows)])) - 1
+        long = int(np.argmax(ends_at - begins))
+        first, last = int(begins[long]), int(ends_at[long])
+        from_s, until_s = rows[first, 0], rows[last, 0]
+        if last - first < _STUCK_ROWS or until_s - from_s < _STUCK_S:
+            continue
+        beside = [
+            other[(other[:, 0] >= from_s) & (other[:, 0] <= until_s), 1]
+            for key, other in pairs.items()
+            if key != pair and set(key) & set(pair)
+        ]
+        if any(len(each) > _STUCK_ROWS and float((np.diff(each) != 0.0).mean()) >= _CHANGE_SHARE for each in beside):
+            who = f"the ranges {data.names[pair[0]]}-{data.names[pair[1]]}"
+            yield finding(FindingKind.STUCK_RANGES, until_s - from_s, who, range_m=rows[first, 1])
 
 
 def _truth_findings(data: RecordedData) -> Iterator[tuple[str, DataFinding]]:

@@ -33,6 +33,7 @@ class FindingKind(StrEnum):
     SLOW_RANGES = "slow_ranges"
     LATE_ARRIVAL = "late_arrival"
     REPEATED_RANGES = "repeated_ranges"
+    STUCK_RANGES = "stuck_ranges"
     TIME_OFFSET = "time_offset"
     RANGE_FACTOR = "range_factor"
     RANGE_BIAS = "range_bias"
@@ -67,6 +68,8 @@ _WORDING = {
     "is arrival_s on the clock of t_s?",
     FindingKind.REPEATED_RANGES: "{value} ranges occur twice, with the same time, vehicles and value: each counts "
     "as a measurement of its own and makes the result look more certain than it is",
+    FindingKind.STUCK_RANGES: "{who} repeat one value ({range_m:.10g} m) for {value:.0f} s while others "
+    "change: did the radio answer?",
     FindingKind.TIME_OFFSET: "the clock of {of} is {offset} that of {than} ({before_m:.3g} m of residual in the median, "
     "{after_m:.3g} m with the offset removed)",
     FindingKind.RANGE_FACTOR: "{who} are {value:.4g} times the distances between the positions{question}",

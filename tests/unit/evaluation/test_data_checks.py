@@ -285,3 +285,23 @@ def test_three_tags_on_one_body_are_no_repeated_ranges():
     assert "repeated_ranges" not in {finding.kind for finding in run_checks(tags)}
     doubled = replace(tags, ranges=np.vstack((rows, rows)))
     assert "repeated_ranges" in {finding.kind for finding in run_checks(doubled)}
+
+
+def test_a_radio_that_repeats_its_last_range_is_told():
+    def stuck(data: RecordedData) -> RecordedData:
+        rows = data.ranges.copy()
+        of_peer = (rows[:, 2] == 2) & (rows[:, 0] > 80.0) & (rows[:, 0] < 100.05)
+        rows[of_peer, 3] = rows[of_peer, 3][0]
+        return replace(data, ranges=rows)
+
+    assert "stuck_ranges" not in {found.kind for found in run_checks(fleet(1))}
+    (finding,) = [found for found in run_checks(stuck(fleet(1))) if found.kind == "stuck_ranges"]
+    assert finding.value == pytest.approx(19.8, abs=0.3)
+    assert "UAV2-UAV4" in finding.text
+
+
+def test_a_vehicle_that_stands_still_beside_coarse_radios_has_no_stuck_ranges():
+    data = fleet(1)
+    rows = data.ranges[(data.ranges[:, 0] > 80.0)].copy()
+    rows[:, 3] = np.round(rows[:, 2] * 100.0)
+    assert "stuck_ranges" not in {found.kind for found in run_checks(replace(data, ranges=rows))}
