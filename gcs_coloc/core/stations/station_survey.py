@@ -36,6 +36,7 @@ _LEAST_SAMPLES = 12  # chosen: four unknowns, three samples of each
 _MANY_SAMPLES = 100  # chosen: half a kilometre of a flight; who has flown so far without an answer is told why
 _MORE = 1.25  # a solution is sought anew with a quarter more samples; chosen: it costs milliseconds, and fewer say little more
 _REPORT_AGE_S = 1.0  # chosen: a position is carried on by its velocity no longer, as half a g for a second is 2.5 m
+_CORRELATION_TIME_S = 30.0  # Source: errors of GNSS positions are correlated for half a minute to minutes
 _BIAS_SIGMA_M = 1.0  # chosen: antenna delays of uncalibrated radios are some decimetres, of others a metre
 _HUBER_SIGMAS = 2.0  # chosen: as in calibration
 _DIRECTIONS, _STEPS = 8, 15  # chosen: a start every 45 degrees
@@ -69,6 +70,7 @@ class SurveyedPosition(NamedTuple):
 
 class _Sample(NamedTuple):
     vehicle: int
+    at_s: float
     position_m: Vector3
     range_m: float
     sigma_m: float
@@ -114,7 +116,9 @@ class StationSurvey:
             return
         survey.last_m[measurement.from_vehicle] = at
         sigma_p_m = max(reported.sigma_h_m, reported.sigma_v_m)
-        sample = _Sample(measurement.from_vehicle, at, measurement.range_m, measurement.sigma_m, sigma_p_m)
+        sample = _Sample(
+            measurement.from_vehicle, measurement.measured_at_s, at, measurement.range_m, measurement.sigma_m, sigma_p_m
+        )
         survey.added += 1
         if len(survey.samples) < _MOST_SAMPLES:
             survey.samples.append(sample)
@@ -166,7 +170,7 @@ def survey_position(samples: list[_Sample]) -> SurveyedPosition | SurveyProblem:
     best, P = states[int(np.argmin(costs))], covariances[int(np.argmin(costs))]
     apart = states[:, :3] - best[:3]
     is_other = np.einsum("si,ij,sj->s", apart, np.linalg.inv(P), apart) > _SAME_PLACE_SIGMAS**2
-    if bool(np.any(is_other & (costs < float(costs.min()) + _OTHER_PLACE_COST))):
+    if bool(np.any(is_other & (costs < float(costs.min()) + _OTHER_PLACE_COST * _alike(samples, white_m2)))):
         return SurveyProblem.AMBIGUOUS
     sigma_h_m, sigma_v_m = sqrt(float(np.linalg.eigvalsh(P[:2, :2])[-1])), sqrt(float(P[2, 2]))
     if max(sigma_h_m, sigma_v_m) > _MOST_SIGMA_M:
@@ -233,6 +237,20 @@ def _fit(starts: FloatArray, positions: FloatArray, ranges: FloatArray, variance
         H, left = np.where(better[:, np.newaxis, np.newaxis], H_new, H), np.where(better[:, np.newaxis], left_new, left)
         damping = np.where(better, damping / 5.0, damping * 10.0)
     return cost, x
+
+
+def _alike(samples: list[_Sample], white_m2: FloatArray) -> float:
+    """Return how many samples tell of two places what one would, as receivers' errors wander slowly.
+
+    Of the samples within their correlation time all but two say the same again, as far as their errors are those of receivers.
+    """
+    factors = []
+    for vehicle in {sample.vehicle for sample in samples}:
+        times_s = [sample.at_s for sample in samples if sample.vehicle == vehicle]
+        again = len(times_s) * 2.0 * _CORRELATION_TIME_S / max(max(times_s) - min(times_s), 1.0)
+        factors.append(min(max(again, 1.0), len(times_s)))
+    share = np.array([sample.position_sigma_m**2 for sample in samples]) / white_m2
+    return 1.0 + float(np.median(share)) * (float(np.median(factors)) - 1.0)
 
 
 def _with_lasting_errors(
