@@ -32,7 +32,6 @@ _CONTINUED = 60  # starts; chosen: those of four vehicles all, and of larger fle
 _REFINED = 12  # hypotheses; chosen: those that may decide are adjusted with V at their own positions
 _NEAR_SHARE = 0.1  # of the shortest range; chosen: an offset below it is found from the reported positions
 _SEED_DIRECTIONS = 12  # chosen: one every 30 degrees
-_SEED_RADII = (1.0, 2.0)  # times the largest residual, which is at most the offset
 _RANK_TOLERANCE = 1e-6  # smallest over largest eigenvalue that counts as not zero; chosen: far above rounding
 _FAULT_INFORMATION_PER_M2 = 1e-7  # holds a direction that no range sees; of a fault of 300 m it costs 0.01
 
@@ -181,20 +180,24 @@ class FaultModel:
     def _starts(self, crossing: FloatArray, lengthened: FloatArray, weights: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
         """Return the states (starts, states) to start from, and the hypothesis of each.
 
-        Each hypothesis starts with no fault. One with a large residual also starts from the two best of a ring of offsets.
+        Each hypothesis starts with no fault. One with a large residual also starts from the two best of a ring of offsets: those
+        at which the shortest range between what is off and what is not has its length.
         """
         projector = self._without_free(weights, self._jacobian(self._baselines_m))
-        innovations = np.abs(self._ranges_m - np.linalg.norm(self._baselines_m, axis=1))[: self.rows]
-        largest_m = np.where(crossing[:, : self.rows], innovations, 0.0).max(axis=1)
-        far = np.flatnonzero(largest_m > _NEAR_SHARE * self._ranges_m[: self.rows].min(initial=np.inf))
+        ranges_m, baselines_m, moves = self._ranges_m[: self.rows], self._baselines_m[: self.rows], crossing[:, : self.rows]
+        innovations = np.abs(ranges_m - np.linalg.norm(baselines_m, axis=1))
+        largest_m = np.where(moves, innovations, 0.0).max(axis=1)
+        far = np.flatnonzero(largest_m > _NEAR_SHARE * ranges_m.min(initial=np.inf))
         count, free = len(crossing), len(self._without_prior)
         none, of = np.zeros((count, 2 + free)), np.arange(count)
         if not far.size:
             return none, of
         angles = 2.0 * pi * np.arange(_SEED_DIRECTIONS) / _SEED_DIRECTIONS
-        ring = np.concatenate([radius * np.stack([np.cos(angles), np.sin(angles)], axis=1) for radius in _SEED_RADII])
+        ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        shortest = np.where(moves[far], ranges_m, np.inf).argmin(axis=1)
+        there_m = -moves[far, shortest, np.newaxis] * baselines_m[shortest, :2]
         seeds: FloatArray = np.zeros((len(far), len(ring), 2 + free))
-        seeds[:, :, :2] = largest_m[far, np.newaxis, np.newaxis] * ring
+        seeds[:, :, :2] = there_m[:, np.newaxis] + ranges_m[shortest, np.newaxis, np.newaxis] * ring
         seeded = np.repeat(far, len(ring))
         states = seeds.reshape(-1, 2 + free)
         left = self._residuals(self._baselines(crossing[seeded], states), lengthened[seeded], states)

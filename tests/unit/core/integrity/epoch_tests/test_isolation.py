@@ -48,7 +48,7 @@ def isolated(now):
     return set(isolate(now, (None, 0.0)).isolated) if is_alarmed(now) else set()
 
 
-@pytest.mark.parametrize("size_m", [60.0, 200.0, 500.0])
+@pytest.mark.parametrize("size_m", [60.0, 200.0, 500.0, 300e3])
 @pytest.mark.parametrize(
     ("vehicles", "mutual", "least"), [(3, False, 14), (3, True, 17), (4, False, 14), (4, True, 32), (6, False, 32), (6, True, 36)]
 )
