@@ -150,7 +150,7 @@ class RangeConsistency:
         self._run_fault_monitor(stated, now_s)
         tests = tests if self.noise is left else self._test(stated, self.noise)
         self._update_faults(tests, now_s, doubtful)
-        not_used = self.detected.union(not_used)
+        not_used = self.detected.union(self.identified, not_used)
         used = (self.noise.expose(whole) if self.noise.unisolated else stated).without_priors(not_used)
         self._update_decayed(self._test(used, self.noise, not_used) if used is not stated else tests, now_s)
         self.stated_epoch = self.noise.expose(self.residuals.sparse_epoch(now_s, whole)).without_priors(not_used)
