@@ -45,7 +45,7 @@ from gcs_coloc.estimators.fleet.initialisation import (
 from gcs_coloc.estimators.fleet.observed_biases import observe_bias, pair_bias, presume_bias, unknown_errors
 from gcs_coloc.estimators.fleet.peer_selection import is_selected
 from gcs_coloc.estimators.fleet.range_biases import PairBias
-from gcs_coloc.estimators.fleet.searched_vehicles import is_searching, predicted_search, search_with_range
+from gcs_coloc.estimators.fleet.searched_vehicles import begin_by_slow_ranges, is_searching, predicted_search, search_with_range
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 _PRUNE_EVERY_S = 5.0  # chosen: pruning walks over all vehicles
@@ -224,7 +224,7 @@ class FleetModel:
             return UpdateResult(outcomes[0] if outcomes else Outcome.KEPT_OPEN_SIDE)
         cluster = self.clusters.common(*ends)
         if cluster is None:
-            waiting = self._initialise_ends(ends, m.measured_at_s)
+            waiting = self._initialise_ends(ends, m)
             if waiting is not None:
                 return waiting
             cluster = self.clusters.merge(*ends)
@@ -260,13 +260,16 @@ class FleetModel:
         else:
             self.considered_m.pop(pair, None)
 
-    def _initialise_ends(self, ends: tuple[int, int], at_s: float) -> UpdateResult | None:
+    def _initialise_ends(self, ends: tuple[int, int], m: RangeMeasurement) -> UpdateResult | None:
         """Initialise ends of a range without states; return what became of the range if it is not used."""
-        for vehicle in ends:
+        at_s = m.measured_at_s
+        for vehicle, other in (ends, ends[::-1]):
             if vehicle in self.clusters:
                 continue
             if self.records[vehicle].denied_vehicle:
                 found = initialise_from_ranges(self.clusters, vehicle, at_s)
+                if not found and begin_by_slow_ranges(self.clusters, vehicle, other, m):
+                    return UpdateResult(search_with_range(self.clusters, vehicle, other, m))
                 return UpdateResult(Outcome.INITIALISED if found else Outcome.KEPT_INITIALISING)
             if not initialise_from_reports(self.clusters, vehicle, at_s):
                 return UpdateResult(Outcome.REFUSED_PEER_WITHOUT_POSITION)

@@ -104,6 +104,14 @@ def initialise_from_ranges(clusters: ClusterSet, vehicle: int, at_s: float) -> b
     if isinstance(solution, StatedReason):
         record.no_estimate_reason = solution
         return False
+    begin_without_reports(record, at_s, s)
+    record.began_on_either_side = float(solution[1][2, 2]) > problem.straight_m2()
+    clusters.initialise(vehicle, *block_from_estimate(*solution, s), at_s)
+    return True
+
+
+def begin_without_reports(record: VehicleRecord, at_s: float, s: FleetSettings) -> None:
+    """Begin the record of a vehicle that is located from ranges alone."""
     record.baro_error_sigma_m = record.report_error_sigma_h_m = record.report_error_sigma_v_m = 0.0
     record.time_stamp_offset_sigma_s = s.time_stamp_offset_sigma_s
     record.attitude = None
@@ -111,9 +119,6 @@ def initialise_from_ranges(clusters: ClusterSet, vehicle: int, at_s: float) -> b
     record.updated_at_s = record.told_at_s = record.gaps_added_until_s = at_s
     record.range_measurements = ()
     record.forget_tests()
-    record.began_on_either_side = float(solution[1][2, 2]) > problem.straight_m2()
-    clusters.initialise(vehicle, *block_from_estimate(*solution, s), at_s)
-    return True
 
 
 def _multilateration_problem(records: Records, vehicle: int, at_s: float, s: FleetSettings) -> MultilaterationProblem:

@@ -6,10 +6,11 @@ At its end the vehicle has states again.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
-from gcs_coloc.core.measurements import FloatArray, NoEstimateReason, RangeMeasurement, Unlocated
+from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, NoEstimateReason, RangeMeasurement, Unlocated
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import ManoeuvreDetector
 from gcs_coloc.estimators.fleet.ekf.cluster import ClusterSet
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome
@@ -17,7 +18,8 @@ from gcs_coloc.estimators.fleet.ekf.possible_motion import HORIZONTAL, MotionPro
 from gcs_coloc.estimators.fleet.ekf.records import Neighbour
 from gcs_coloc.estimators.fleet.ekf.state import POSITION, pair_key
 from gcs_coloc.estimators.fleet.gaps import add_gap, tell_of_all_directions
-from gcs_coloc.estimators.fleet.initialisation import initialise_from_reports
+from gcs_coloc.estimators.fleet.initialisation import begin_without_reports, block_from_estimate, initialise_from_reports
+from gcs_coloc.estimators.fleet.search.multilateration import LEAST_PEERS, LEAST_RANGES
 from gcs_coloc.estimators.fleet.search.position_search import PositionSearch, RangeCircle, is_too_wide
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
@@ -43,6 +45,31 @@ def is_searching(clusters: ClusterSet, vehicle: int, other: int, m: RangeMeasure
     if not is_too_wide(P.item(0, 0) + P.item(1, 1), m.range_m, sigma_m):
         return False
     search_with(clusters, vehicle, search_of(clusters, vehicle, m.measured_at_s))
+    return True
+
+
+def begin_by_slow_ranges(clusters: ClusterSet, vehicle: int, other: int, m: RangeMeasurement) -> bool:
+    """Begin the search of a vehicle without states by this range, if ranges are slow; return whether.
+
+    They are if as many as a multilateration needs take longer than it allows. The search begins all around the other end.
+    """
+    record, s = clusters.records.writable(vehicle), clusters.settings
+    last = record.range_measurements[-LEAST_RANGES:]
+    peers = {each.other_end(vehicle) for each in last}
+    if not len(record.recent_ranges) < LEAST_RANGES == len(last) or len(peers) < LEAST_PEERS:
+        return False
+    there = _locate_peer(clusters, other, m.measured_at_s)
+    if there is None:
+        return False
+    speeds_mps = 0.5 * record.profile.max_speed_mps, record.profile.max_climb_mps
+    sigmas = np.repeat((m.range_m, *speeds_mps), (3, 2, 1))
+    mean, covariance = block_from_estimate(np.concatenate([there[0], np.zeros(3)]), np.diag(sigmas**2), s)
+    search = PositionSearch.of_state(mean, covariance, m.measured_at_s)
+    height = next((each for each in reversed(record.recent_own) if isinstance(each, AltitudeMeasurement)), None)
+    if height is not None:
+        search = search.with_height(height.up_m, height.sigma_m**2)
+    record.search = replace(search, agreed=0)
+    begin_without_reports(record, m.measured_at_s, s)
     return True
 
 

@@ -27,8 +27,8 @@ _ELEVATIONS_RAD = (-0.8, -0.1, 0.1, 0.8)
 """Chosen: starting points 30 degrees apart on the sphere about each peer, above and below it."""
 _STARTS = 24  # chosen: so many descents find the global minimum; all run at once
 _ITERATIONS = 25  # chosen: Levenberg-Marquardt converges in about ten
-_LEAST_RANGES = 6  # as many as unknowns: position and velocity
-_LEAST_PEERS = 2  # with one peer the position is anywhere on a sphere
+LEAST_RANGES = 6  # as many as unknowns: position and velocity
+LEAST_PEERS = 2  # with one peer the position is anywhere on a sphere
 _HUBER_SIGMAS = 2.0  # chosen: residuals beyond it pull no harder (Huber 1964)
 _OUTLIER_SIGMAS = 5.0  # chosen: less than one Gaussian error in a million
 _MOST_OUTLIERS = 0.3  # chosen: with more outliers than three of ten the ranges contradict each other
@@ -117,7 +117,7 @@ def solve_multilateration(problem: MultilaterationProblem, limit_sigma_m: float)
     They hold at the problem's time. `limit_sigma_m` is the largest horizontal sigma that counts as determined.
     """
     peers = problem.peers()
-    if len(peers) < _LEAST_PEERS or sum(peers.values()) < _LEAST_RANGES:
+    if len(peers) < LEAST_PEERS or sum(peers.values()) < LEAST_RANGES:
         return Unlocated(NoEstimateReason.FEW_RANGES, sum(peers.values()), len(peers))
     ranges, heights = problem.ranges(), problem.heights()
     x, cost, normal = _descend(_starting_points(ranges, heights), ranges, heights)
