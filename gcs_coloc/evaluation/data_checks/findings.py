@@ -21,6 +21,8 @@ _NOISE_SIGMAS = 3.0
 """What an explanation leaves within so many stated sigmas is noise; chosen: 1 in 370 of a Gaussian is beyond."""
 _SAME_UNIT = 0.02
 """Logarithm of how far a factor may be from a unit's; chosen: feet (3.28) and pi (3.14) stay apart."""
+_SAME_POWER = 0.1
+"""The same where the unit's factor is 100 or 1000; chosen: in a room a bias of 0.1 m is 7 % of the distances."""
 _LEAST_SHARE = 0.5
 """Share of the values that must be comparable for a median to count; chosen: the median is then one of the data's middle half."""
 
@@ -176,7 +178,7 @@ def unit_question(factor: float, one: str, other: str) -> str:
     """
     for known, (small, large) in _FACTORS.items():
         for first, second, wanted in ((one, other, known), (other, one, 1.0 / known)):
-            if factor > 0.0 and abs(math.log(factor / wanted)) < _SAME_UNIT:
+            if factor > 0.0 and abs(math.log(factor / wanted)) < (_SAME_UNIT if known < 100.0 else _SAME_POWER):
                 guesses = [first.format(small), *([second.format(large)] if large else [])]
                 return f": are {', or '.join(guesses)}?"
     return ""

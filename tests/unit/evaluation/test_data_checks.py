@@ -238,6 +238,16 @@ def test_beside_one_device_that_is_far_off_the_others_are_told_too():
     assert "A1-A3, A1-A4" in mean.text
 
 
+def test_millimetres_are_told_in_a_room_where_a_bias_is_a_share_of_the_distances():
+    """They were "1065 times the distances", which calibrate was to estimate."""
+    data = walk_among_anchors((1.2, 1.2, 1.2))
+    rows = data.ranges.copy()
+    rows[:, 3] *= 1000.0
+    (finding, *_) = run_checks(replace(data, ranges=rows))
+    assert (finding.kind, finding.value) == ("range_factor", pytest.approx(1060.0, abs=35.0))
+    assert "are the ranges in mm" in finding.text
+
+
 def test_ranges_that_are_off_to_both_sides_are_not_told_to_be_right_in_the_mean():
     (finding,) = run_checks(walk_among_anchors((0.2, -0.25, 0.0)))
     assert (finding.kind, finding.value) == ("range_mean", pytest.approx(-0.25, abs=0.03))
