@@ -31,6 +31,7 @@ from gcs_coloc.planning.mission import (
     LatLonAlt,
     ListedStation,
     Mission,
+    MissionCommand,
     MissionFile,
     MissionItem,
     MissionLeg,
@@ -188,12 +189,14 @@ def _read_wpl(path: Path, text: str, vehicle_class: VehicleClass | None, speed_m
         raise DataError(f"{path}: line 1: is {header.strip()!r:.60}, expected {_WPL_HEADER!r}")
     items: list[MissionItem] = []
     for at, line in enumerate(lines, start=2):
-        if line.strip():
+        # MAVProxy lets a line of comment begin with #.
+        if line.strip() and not line.startswith("#"):
             items.append(_wpl_item(f"{path}: line {at}", line))
     if not items:
         raise DataError(f"{path}: expected home and waypoints after the first line, found none")
     home: LatLonAlt | None = None
-    if items[0].number == 0:
+    # Of ArduPilot item 0 is home; where it is no waypoint, as of PX4, it is the first item that is flown.
+    if items[0].number == 0 and items[0].command == MissionCommand.WAYPOINT:
         first, items = items[0], items[1:]
         check_place(f"{path}: item 0 (home)", first.lat_deg, first.lon_deg, first.alt_m)
         home = (first.lat_deg, first.lon_deg, first.alt_m) if first.lat_deg or first.lon_deg else None
@@ -216,6 +219,9 @@ def _wpl_item(where: str, line: str) -> MissionItem:
             value = float(column)
         except ValueError:
             value = math.nan
+        # MAVLink's NaN stands for what is not used, as null in a .plan.
+        if math.isnan(value) and column.lower() == "nan" and name.startswith("param"):
+            value = 0.0
         if not math.isfinite(value):
             raise DataError(f"{where}: {name} is {column!r:.60}, expected a number")
         values.append(value)

@@ -108,6 +108,23 @@ def test_a_file_of_mission_planner_gives_home_and_heights_above_it(tmp_path):
     assert "the file states no speed; 15 m/s is taken" in read.remarks[0]
 
 
+def test_lines_of_comment_and_parameters_that_are_not_used_are_read_as_mavproxy_and_px4_write_them(tmp_path):
+    unused = ROW.replace("0\t0\t0\t0\t47.01", "0\t0\t0\tNan\t47.01")
+    (mission,) = read_plan_file(wpl(tmp_path, "# the field", HOME, "# north of it", unused)).missions
+    assert mission.begin == (47.0, 8.0, 500.0)
+    assert [leg.end for leg in mission.legs] == [(47.01, 8.0, 600.0)]
+    for wrong in (ROW.replace("47.01", "nan"), ROW.replace("3\t16\t0", "3\t16\tinf")):
+        with pytest.raises(DataError, match=r"line 3: .* expected a number"):
+            read_plan_file(wpl(tmp_path, HOME, wrong))
+
+
+def test_a_first_item_that_is_no_waypoint_is_flown_and_is_no_home(tmp_path):
+    takeoff = ROW.replace("1\t0\t3\t16", "0\t1\t3\t22").replace("47.01", "47.0")
+    (mission,) = read_plan_file(wpl(tmp_path, takeoff, ROW.replace("100", "120"))).missions
+    assert mission.begin == (47.0, 8.0, 100.0)
+    assert [leg.end for leg in mission.legs] == [(47.01, 8.0, 120.0)]
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
