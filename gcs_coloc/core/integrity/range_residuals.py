@@ -29,8 +29,10 @@ from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeas
 
 WINDOW_S = 1.0
 """A residual uses the ranges of so long, if these are `_ENOUGH_RANGES`. Chosen: five ranges at 5 Hz."""
-_MAX_WINDOW_S = 3.0  # else the newest `_ENOUGH_RANGES` of so long; chosen: three ranges at 1 Hz
-_FRESH_S = 1.4  # of the newest range; chosen: a pair that has fallen silent delays no test of the others by more
+_LONGER_WINDOW_S = 1.4  # else those of so long, if `_MIN_RANGES`; chosen: five ranges at 5 Hz, of which one or two were lost
+_LONGEST_WINDOW_S = 3.0
+"""Else the newest `_ENOUGH_RANGES` of so long, if one of them is of the last 1.4 s. Chosen: three ranges at 1 Hz; a pair that has
+fallen silent delays no test of the others."""
 WAIT_S = 0.2
 """An epoch ends so long ago: positions need that time to arrive. Chosen: one period of reports at 5 Hz."""
 _ENOUGH_RANGES = 5  # chosen: the median of five bears two outliers
@@ -159,7 +161,7 @@ class RangeResidualBuffer:
         Ranges to `detected` vehicles stay in it: the estimator selects them no more, and untested they would be trusted again.
         """
         self._compute_residuals(now_s)
-        fresh_s = now_s - WAIT_S - _FRESH_S
+        fresh_s = now_s - WAIT_S - _LONGER_WINDOW_S
         dense = {pair: samples for pair, samples in self._samples.items() if samples[-1][0] > fresh_s}
         self._selected_s = {pair: at_s for pair, at_s in self._selected_s.items() if now_s - at_s <= _SELECTED_S}
         self._detected = frozenset(detected)
@@ -187,8 +189,11 @@ class RangeResidualBuffer:
         for (i, j), kept in ranges.items():
             if i not in at_middle or j not in at_middle:
                 continue
-            recent = [sample for sample in kept if sample[0] > from_s]
-            samples = recent if len(recent) >= _ENOUGH_RANGES else kept[-_ENOUGH_RANGES:]
+            samples = [sample for sample in kept if sample[0] > from_s]
+            if len(samples) < _ENOUGH_RANGES:
+                samples = [sample for sample in kept if sample[0] > from_s + WINDOW_S - _LONGER_WINDOW_S]
+            if len(samples) < _MIN_RANGES:
+                samples = kept[-_ENOUGH_RANGES:]
             apart_m = dist(at_middle[i].position_enu_m, at_middle[j].position_enu_m)
             if len(samples) >= min_ranges and apart_m >= _MIN_DISTANCE_M:
                 usable[i, j] = samples
@@ -239,6 +244,6 @@ class RangeResidualBuffer:
                 del samples[0]
         self._pending.clear()
         self._pending.extend(waiting)
-        oldest_s = ready_s - _MAX_WINDOW_S
+        oldest_s = ready_s - _LONGEST_WINDOW_S
         fresh = {pair: [sample for sample in samples if sample[0] > oldest_s] for pair, samples in self._samples.items()}
         self._samples = {pair: samples for pair, samples in fresh.items() if samples}
