@@ -37,9 +37,10 @@ def test_why_no_vehicle_is_heard_is_told(tmp_path):
         over = north.get_by_role("listitem").filter(has_text="over and not acknowledged").all_inner_texts()
         page.goto(re.findall(r"north: web page: (\S+)", (tmp_path / "log").read_text())[0])
         expect(page.locator("#alarms")).to_contain_text("refused on the links")
-        # A computer that is busy while both programs start falls behind: that alarm alone may be over.
+        # A computer that is busy while both programs start falls behind: that alarm alone may be over, or become so meanwhile.
         fell_behind = page.locator("#alarms li.over[data-kind='host_late']").count()
-        assert over == ["1 alarm over and not acknowledged"] * fell_behind
+        assert over in ([], ["1 alarm over and not acknowledged"] * fell_behind)
+        expect(page.locator("#alarms li.over:not([data-kind='host_late'])")).to_have_count(0)
 
 
 def test_it_shows_each_fleet_leads_to_its_own_page_and_tells_of_one_that_died(tmp_path):
