@@ -21,7 +21,6 @@ from gcs_coloc.core.measurements import (
     RangeMeasurement,
     Unlocated,
 )
-from gcs_coloc.core.reasons import StatedReason
 
 _AZIMUTHS = 12  # chosen: a start every 30 degrees
 _ELEVATIONS_RAD = (-0.8, -0.1, 0.1, 0.8)
@@ -30,7 +29,6 @@ _STARTS = 24  # chosen: so many descents find the global minimum; all run at onc
 _ITERATIONS = 25  # chosen: Levenberg-Marquardt converges in about ten
 LEAST_RANGES = 6  # as many as unknowns: position and velocity
 LEAST_PEERS = 2  # with one peer the position is anywhere on a sphere
-_LEAST_TESTED = 3  # with a height three peers test each other, else four: one more than the position needs
 _HUBER_SIGMAS = 2.0  # chosen: residuals beyond it pull no harder (Huber 1964)
 _OUTLIER_SIGMAS = 5.0  # chosen: less than one Gaussian error in a million
 _MOST_OUTLIERS = 0.3  # chosen: with more outliers than three of ten the ranges contradict each other
@@ -76,22 +74,6 @@ class MultilaterationProblem:
         """Return the number of ranges with each peer."""
         return Counter(row[0] for row in self._rows)
 
-    def without(self, peer: int) -> MultilaterationProblem:
-        """Return the problem without the ranges of one peer."""
-        rest = MultilaterationProblem(self.at_s)
-        rest._rows, rest._heights = [row for row in self._rows if row[0] != peer], self._heights
-        return rest
-
-    def wrong_peer(self, where: FloatArray) -> int | None:
-        """Return the peer whose ranges fit a state (6,) worst if most of them do not fit it at all.
-
-        A peer with less than half as many ranges as the others have on average contradicts nothing.
-        """
-        size, of = np.abs(_residuals(where[np.newaxis], self.ranges())[0]), np.array([row[0] for row in self._rows])
-        peers = [peer for peer, count in self.peers().items() if 2 * count * len(self.peers()) >= len(of)]
-        median, worst = max((float(np.median(size[of == peer])), peer) for peer in peers)
-        return worst if median > _OUTLIER_SIGMAS else None
-
     def ranges(self) -> FloatArray:
         """Return the ranges (n, 6): time, s, and the peer's east, north and up, range and sigma, m.
 
@@ -132,51 +114,28 @@ def _slope(past: list[PositionMeasurement]) -> tuple[float, float, float]:
 def solve_multilateration(problem: MultilaterationProblem, limit_sigma_m: float) -> tuple[FloatArray, FloatArray] | Unlocated:
     """Return mean (6,) and covariance (6, 6) of position and velocity, or the reason why not.
 
-    They hold at the problem's time. `limit_sigma_m` is the largest horizontal sigma that counts as determined. Where the ranges
-    of one peer contradict those of all others, such as those of a dead radio that repeats its last one, they are left out.
+    They hold at the problem's time. `limit_sigma_m` is the largest horizontal sigma that counts as determined.
     """
     peers = problem.peers()
     if len(peers) < LEAST_PEERS or sum(peers.values()) < LEAST_RANGES:
         return Unlocated(NoEstimateReason.FEW_RANGES, sum(peers.values()), len(peers))
-    solution, where = _solve(problem, limit_sigma_m)
-    wrong = problem.wrong_peer(where)
-    if wrong is None or len(peers) <= (_LEAST_TESTED if len(problem.heights()) else _LEAST_TESTED + 1):
-        return solution
-    solution, _ = _solve(problem.without(wrong), limit_sigma_m)
-    if not isinstance(solution, StatedReason) and any(
-        _fits_without(other, problem, limit_sigma_m) for other in peers.keys() - {wrong}
-    ):
-        return Unlocated(NoEstimateReason.CONTRADICTORY)
-    return solution
-
-
-def _fits_without(peer: int, problem: MultilaterationProblem, limit_sigma_m: float) -> bool:
-    """Return whether the ranges of all other peers fit, so that this one may be the wrong one."""
-    rest = problem.without(peer)
-    solution, where = _solve(rest, limit_sigma_m)
-    contradict = isinstance(solution, StatedReason) and solution.reason is NoEstimateReason.CONTRADICTORY
-    return not contradict and rest.wrong_peer(where) is None
-
-
-def _solve(problem: MultilaterationProblem, limit_sigma_m: float) -> tuple[tuple[FloatArray, FloatArray] | Unlocated, FloatArray]:
-    """Return the solution by all ranges, or why there is none, and the state (6,) that fits best."""
     ranges, heights = problem.ranges(), problem.heights()
     x, cost, normal = _descend(_starting_points(ranges, heights), ranges, heights)
     best = int(np.argmin(cost))
     residual = _residuals(x[best : best + 1], ranges)[0]
     fits = np.abs(residual) <= _OUTLIER_SIGMAS
     if 1.0 - fits.mean() > _MOST_OUTLIERS or float(np.mean(residual[fits] ** 2)) > _MOST_MEAN_SQUARE:
-        return Unlocated(NoEstimateReason.CONTRADICTORY), x[best]
+        return Unlocated(NoEstimateReason.CONTRADICTORY)
     covariance = np.linalg.inv(normal[best])
     worst_m = horizontal_sigma_m(covariance)
     if worst_m > limit_sigma_m:
-        return Unlocated(NoEstimateReason.UNDETERMINED, worst_m), x[best]
+        return Unlocated(NoEstimateReason.UNDETERMINED, worst_m)
     mean = x[best]
     for other in np.flatnonzero(cost < cost[best] + _CLEARLY_WORSE):
         d = x[other] - x[best]
         apart = d[:2] @ np.linalg.solve(covariance[:2, :2], d[:2])
         if apart > _DISTINCT_NIS:
-            return Unlocated(NoEstimateReason.OTHER_PLACE, math.hypot(d[0], d[1])), x[best]
+            return Unlocated(NoEstimateReason.OTHER_PLACE, math.hypot(d[0], d[1]))
         half = 0.5 * abs(d[2])
         if half > math.sqrt(covariance[2, 2]):
             # Above or below: the height between both, as uncertain as they are apart.
@@ -184,7 +143,7 @@ def _solve(problem: MultilaterationProblem, limit_sigma_m: float) -> tuple[tuple
             mean[2] += 0.5 * d[2]
             covariance = covariance.copy()
             covariance[2, 2] += half * half
-    return (mean, covariance), x[best]
+    return mean, covariance
 
 
 def _starting_points(ranges: FloatArray, heights: FloatArray) -> FloatArray:
