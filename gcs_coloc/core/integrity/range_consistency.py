@@ -152,7 +152,8 @@ class RangeConsistency:
         self._update_faults(tests, now_s, doubtful)
         not_used = self.detected.union(self.identified, not_used)
         used = (self.noise.expose(whole) if self.noise.unisolated else stated).without_priors(not_used)
-        self._update_decayed(self._test(used, self.noise, not_used) if used is not stated else tests, now_s)
+        tests = self._test(used, self.noise, not_used) if used is not stated else tests
+        self._update_decayed(tests, now_s, whole.reporting)
         self.stated_epoch = self.noise.expose(self.residuals.sparse_epoch(now_s, whole)).without_priors(not_used)
         self.epoch = self.noise.apply(self.stated_epoch)
         self._epochs.append(stated)
@@ -279,12 +280,15 @@ class RangeConsistency:
         most_change_m = _COARSE_CHANGE_SIGMAS * stated_m * sqrt(2.0 * (1.0 - correlation))
         return sample.isolated[vehicle] <= _COARSE_SIGMAS * stated_m and sample.changes_m[vehicle] <= most_change_m
 
-    def _update_decayed(self, tests: _Tests, now_s: float) -> None:
-        """Update how far faults among the positions in use may have moved the vehicles without prior."""
+    def _update_decayed(self, tests: _Tests, now_s: float, reporting: frozenset[int]) -> None:
+        """Update how far faults among the positions in use may have moved the vehicles without prior.
+
+        The `reporting` are in the epoch where they report themselves, also without prior: that is no separation of an estimate.
+        """
         epoch, _, results = tests
         age_s, present = now_s - epoch.at_s, results.get(0.0)
         is_faulty = bool(self.identified or self.detected)
-        for vehicle in {v for result in results.values() for v in result.separation_m2}:
+        for vehicle in {v for result in results.values() for v in result.separation_m2} - reporting:
             # What grew within an interval has grown on since the epoch.
             new = max(
                 (
