@@ -32,6 +32,7 @@ _CONTINUED = 60  # starts; chosen: those of four vehicles all, and of larger fle
 _REFINED = 12  # hypotheses; chosen: those that may decide are adjusted with V at their own positions
 _NEAR_SHARE = 0.1  # of the shortest range; chosen: an offset below it is found from the reported positions
 _SEED_DIRECTIONS = 12  # chosen: one every 30 degrees
+_ALIKE = 4.0  # difference of T up to which two offsets fit alike; chosen: a likelihood ratio of 7
 _RANK_TOLERANCE = 1e-6  # smallest over largest eigenvalue that counts as not zero; chosen: far above rounding
 _FAULT_INFORMATION_PER_M2 = 1e-7  # holds a direction that no range sees; of a fault of 300 m it costs 0.01
 
@@ -113,7 +114,7 @@ class FaultModel:
         statistics, states = self._minimise(crossing[of], lengthened[of], weights, states[likely], _NEWTON_STEPS)
         order = np.argsort(statistics + penalty[of], kind="stable").tolist()
         few = list(dict.fromkeys(of[order].tolist()))[:_REFINED]
-        states = np.array([states[next(n for n in order if of[n] == h)] for h in few])
+        states = np.array([_nearest_alike(statistics[of == h], states[of == h]) for h in few])
         crossing, lengthened = crossing[few], lengthened[few]
         weights = self._weights(self._jacobian(self._baselines(crossing, states)))
         statistics, states = self._minimise(crossing, lengthened, weights, states, _NEWTON_STEPS)
@@ -252,6 +253,15 @@ class FaultModel:
         eigenvalues = np.linalg.eigvalsh(J.transpose(0, 2, 1) @ (weights @ J))
         least = np.maximum(_RANK_TOLERANCE * eigenvalues.max(axis=1, initial=0.0), MIN_INFORMATION_PER_M2)
         return np.asarray((eigenvalues > least[:, np.newaxis]).sum(axis=1))
+
+
+def _nearest_alike(statistics: FloatArray, states: FloatArray) -> FloatArray:
+    """Return the state with the smallest fault of those that fit the ranges as well as the best one.
+
+    Beside a row of vehicles an offset to its other side fits as well as the right one.
+    """
+    alike = states[statistics <= statistics.min() + _ALIKE]
+    return np.asarray(alike[np.hypot(alike[:, 0], alike[:, 1]).argmin()])
 
 
 def _size_m(kind: FaultKind, fault_m: FloatArray) -> float:
