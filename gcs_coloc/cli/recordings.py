@@ -48,7 +48,8 @@ def export(
         history = _open(file, settings_for(config, fleet, estimator), ranges, None, tables.add)
         tables.close()
         files = [*tables.files, *write_all(history, base)]
-    print(f"{', '.join(map(str, files))}: tracks of {len(history.tracks)} vehicles")
+    vehicles = len(history.tracks)
+    print(f"{', '.join(map(str, files))}: tracks of {vehicles} vehicle{'s' if vehicles != 1 else ''}")
 
 
 def report(
