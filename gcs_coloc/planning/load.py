@@ -87,7 +87,8 @@ def _vehicle(sysid: int, mission: Mission, frame: LocalFrame, start_s: float) ->
         east, north, up = frame.enu_from_geodetic(*place)
         if abs(east) > FAR_M or abs(north) > FAR_M:
             raise UsageError(
-                f"{mission.name} is {max(abs(east), abs(north)) / 1e3:.0f} km away from the first plan: plan each site alone"
+                f"{mission.name} has a place {max(abs(east), abs(north)) / 1e3:.0f} km from where the first plan begins, "
+                f"expected one site within {FAR_M / 1e3:.0f} km"
             )
         return east, north, up
 

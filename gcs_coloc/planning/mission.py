@@ -38,18 +38,24 @@ class MissionCommand(IntEnum):
     LAND = 21
     TAKEOFF = 22
     LOITER_TO_ALT = 31
+    ARC_WAYPOINT = 36
     SPLINE_WAYPOINT = 82
     VTOL_TAKEOFF = 84
     VTOL_LAND = 85
+    PAYLOAD_PLACE = 94
     DO_CHANGE_SPEED = 178
 
 
 _CHANGE_THE_WAY = {
     30: "CONTINUE_AND_CHANGE_ALT",
+    83: "ALTITUDE_WAIT",
+    92: "GUIDED_ENABLE",
     93: "DELAY",
     112: "CONDITION_DELAY",
     177: "DO_JUMP",
     601: "DO_JUMP_TAG",
+    42702: "SCRIPT_TIME",
+    42703: "ATTITUDE_TIME",
 }
 """Commands that are not flown here though they change the way or its times (MAV_CMD)."""
 _FENCE_COMMANDS, _RALLY_COMMAND = range(5000, 5005), 5100  # MAV_CMD_NAV_FENCE_*, MAV_CMD_NAV_RALLY_POINT
@@ -146,7 +152,12 @@ class MissionFile:
 
 
 def mission_of(
-    file: str, home: LatLonAlt | None, items: Sequence[MissionItem], vehicle_class: VehicleClass, speed_mps: float
+    file: str,
+    home: LatLonAlt | None,
+    items: Sequence[MissionItem],
+    vehicle_class: VehicleClass,
+    speed_mps: float,
+    skipped: Sequence[str] = (),
 ) -> MissionFile:
     """Return the mission of some items.
 
@@ -156,13 +167,14 @@ def mission_of(
         items: in their order.
         vehicle_class: how the vehicle moves.
         speed_mps: how fast it flies until an item changes that.
+        skipped: remarks on what was skipped already; those on the items follow them.
 
     Raises:
         DataError: an item is impossible, or there are no two places; the text names file and item.
 
     """
     legs: list[MissionLeg] = []
-    remarks: list[str] = []
+    remarks = list(skipped)
     above_terrain: list[int] = []
     for at, item in enumerate(items):
         where = f"{file}: item {item.number}"
@@ -170,7 +182,7 @@ def mission_of(
             if item.params[0] in _OF_CLIMB_OR_DESCENT:
                 remarks.append(f"{where}: DO_CHANGE_SPEED of climb or descent is skipped")
             elif item.params[1] > 0.0:
-                speed_mps = _speed(where, item.params[1])
+                speed_mps = check_speed(where, "speed", item.params[1])
             else:
                 remarks.append(f"{where}: DO_CHANGE_SPEED without a speed is skipped")
             continue
@@ -186,6 +198,8 @@ def mission_of(
         if item.frame in _TERRAIN_FRAMES and command is not MissionCommand.RETURN_TO_LAUNCH:
             above_terrain.append(item.number)
         hold_s, radius_m = _hold(item, command, vehicle_class, speed_mps)
+        if command is MissionCommand.ARC_WAYPOINT:
+            remarks.append(f"{where}: ARC_WAYPOINT is taken as the straight way to its end")
         if command is MissionCommand.LOITER_UNLIM:
             remarks.append(f"{where}: loiters until told otherwise; taken as {_HOLDS_FOREVER_S:.0f} s")
         legs.append(MissionLeg(end, speed_mps, hold_s, radius_m))
@@ -200,7 +214,9 @@ def mission_of(
     if home is None and legs:
         home, legs = legs[0].end, legs[1:]
     if home is None or not legs:
-        raise DataError(f"{file}: expected two places at least: home and one waypoint")
+        more = f" and {len(remarks) - 1} more" if len(remarks) > 1 else ""
+        why = f"; {remarks[0].removeprefix(f'{file}: ')}{more}" if remarks else ""
+        raise DataError(f"{file}: expected two places at least: home and one waypoint{why}")
     return MissionFile((Mission(file, home, tuple(legs), vehicle_class),), tuple(remarks))
 
 
@@ -248,9 +264,14 @@ def check_place(where: str, lat_deg: float, lon_deg: float, alt_m: float) -> Non
             raise DataError(f"{where}: {name} is {value:g}, expected {unit} from {-most:g} to {most:g}")
 
 
-def _speed(where: str, speed_mps: float) -> float:
+def check_speed(where: str, name: str, speed_mps: float) -> float:
+    """Return a speed that can be flown at.
+
+    Raises:
+        DataError: it cannot; the text begins with `where` and names it.
+    """
     if not LEAST_SPEED_MPS <= speed_mps <= MOST_SPEED_MPS:
-        raise DataError(f"{where}: speed is {speed_mps:g}, expected m/s from {LEAST_SPEED_MPS:g} to {MOST_SPEED_MPS:g}")
+        raise DataError(f"{where}: {name} is {speed_mps:g}, expected m/s from {LEAST_SPEED_MPS:g} to {MOST_SPEED_MPS:g}")
     return speed_mps
 
 

@@ -14,7 +14,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 from pydantic.alias_generators import to_camel
 
 from gcs_coloc.core.errors import DataError
@@ -37,6 +37,7 @@ from gcs_coloc.planning.mission import (
     MissionLeg,
     PerVehicle,
     check_place,
+    check_speed,
     mission_of,
 )
 from gcs_coloc.runtime.checked_tables import Number, checked, read_toml
@@ -52,12 +53,14 @@ _CLASSES_BY_TYPE = {10: VehicleClass.GROUND, 11: VehicleClass.BOAT, 12: VehicleC
 _MOST_LEGS = 100_000  # chosen: one for each second of a day
 _LARGEST_FILE_BYTES = 50_000_000  # chosen: a thousand waypoints take 1 MB
 _PLANE_SPEED_MPS, _OTHER_SPEED_MPS = 15.0, 5.0  # QGroundControl's own
+_NO_CLASS = "the file states no class of vehicle; a plane is taken, --class sets another one"
 
 _Speed = Annotated[Number, Field(ge=LEAST_SPEED_MPS, le=MOST_SPEED_MPS)]
 _Far = Annotated[Number, Field(ge=-FAR_M, le=FAR_M)]
 _Height = Annotated[Number, Field(ge=-HIGHEST_M, le=HIGHEST_M)]
 _Latitude = Annotated[Number, Field(ge=-90.0, le=90.0)]
 _Longitude = Annotated[Number, Field(ge=-180.0, le=180.0)]
+_Place = tuple[_Latitude, _Longitude, _Height]
 _Param = Number | None
 """QGroundControl writes null for what is not used."""
 _EndOfRoute = Literal["straight", "loop", "hold"]
@@ -117,9 +120,19 @@ class _Transect(_Qgc):
 
 
 class _ComplexItem(_Qgc):
+    """A survey or the like with items of its own, a landing pattern with places, or one with neither."""
+
     type: Literal["ComplexItem"]
     complex_item_type: str = "a complex item"
     transect: _Transect | None = Field(None, alias="TransectStyleComplexItem")
+    land_coordinate: _Place | None = None
+    landing_approach_coordinate: _Place | None = Field(
+        None, validation_alias=AliasChoices("landingApproachCoordinate", "loiterCoordinate")
+    )
+    altitudes_are_relative: bool = True
+    use_loiter_to_alt: bool = True
+    use_do_change_speed: bool = False
+    final_approach_speed: Number = 0.0
 
 
 _Item = Annotated[_SimpleItem | _ComplexItem, Field(discriminator="type")]
@@ -127,10 +140,10 @@ _Item = Annotated[_SimpleItem | _ComplexItem, Field(discriminator="type")]
 
 class _QgcMission(_Qgc):
     items: list[_Item]
-    planned_home_position: tuple[_Latitude, _Longitude, _Height] | None = None
+    planned_home_position: _Place | None = None
     vehicle_type: Number | None = None
-    cruise_speed: _Speed = _PLANE_SPEED_MPS
-    hover_speed: _Speed = _OTHER_SPEED_MPS
+    cruise_speed: Number = _PLANE_SPEED_MPS
+    hover_speed: Number = _OTHER_SPEED_MPS
 
 
 class _Fence(_Qgc):
@@ -151,17 +164,23 @@ class _QgcPlan(_Qgc):
 def _read_qgc(path: Path, text: str, vehicle_class: VehicleClass | None, speed_mps: float | None) -> MissionFile:
     plan = checked(_QgcPlan, text, str(path))
     mission, kind = plan.mission, plan.mission.vehicle_type
-    if vehicle_class is None:
-        is_plane = kind is None or kind in _PLANE_VEHICLE_TYPES
+    remarks: list[str] = []
+    if vehicle_class is None and not kind:
+        vehicle_class = VehicleClass.PLANE
+        remarks.append(f"{path}: {_NO_CLASS}")
+    elif vehicle_class is None:
+        is_plane = kind in _PLANE_VEHICLE_TYPES
         vehicle_class = VehicleClass.PLANE if is_plane else _CLASSES_BY_TYPE.get(int(kind or 0), VehicleClass.MULTIROTOR)
     if speed_mps is None:
-        speed_mps = mission.cruise_speed if vehicle_class is VehicleClass.PLANE else mission.hover_speed
+        is_cruise = vehicle_class is VehicleClass.PLANE
+        name, stated_mps = ("cruiseSpeed", mission.cruise_speed) if is_cruise else ("hoverSpeed", mission.hover_speed)
+        speed_mps = check_speed(f"{path}: mission", name, stated_mps)
     items: list[MissionItem] = []
-    remarks: list[str] = []
     for at, item in enumerate(mission.items, start=1):
         items += _qgc_items(f"{path}: item {at}", at, item, remarks)
-    found = mission_of(str(path), mission.planned_home_position, items, vehicle_class, speed_mps)
-    return MissionFile(found.missions, (*remarks, *found.remarks, *_beside_the_mission(path, plan)))
+    home = mission.planned_home_position
+    found = mission_of(str(path), home if home and any(home[:2]) else None, items, vehicle_class, speed_mps, remarks)
+    return MissionFile(found.missions, (*found.remarks, *_beside_the_mission(path, plan)))
 
 
 def _beside_the_mission(path: Path, plan: _QgcPlan) -> Iterator[str]:
@@ -176,11 +195,23 @@ def _qgc_items(where: str, at: int, item: _SimpleItem | _ComplexItem, remarks: l
     if isinstance(item, _SimpleItem):
         p1, p2, p3, p4, lat, lon, alt = (value or 0.0 for value in item.params)
         yield MissionItem(at, int(item.command), int(item.frame), (p1, p2, p3, p4), lat, lon, alt)
+    elif item.land_coordinate is not None and item.landing_approach_coordinate is not None:
+        yield from _landing(at, item, item.landing_approach_coordinate, item.land_coordinate)
     elif item.transect is None or item.transect.items is None:
         remarks.append(f"{where}: {item.complex_item_type} holds no items of its own and is skipped")
     else:
         for each in item.transect.items:
             yield from _qgc_items(where, at, each, remarks)
+
+
+def _landing(at: int, item: _ComplexItem, approach: _Place, land: _Place) -> Iterator[MissionItem]:
+    """Yield the items that QGroundControl sends of a landing pattern: a speed, the approach, the landing."""
+    frame, none = 3 if item.altitudes_are_relative else 0, (0.0, 0.0, 0.0, 0.0)
+    if item.use_do_change_speed:
+        yield MissionItem(at, MissionCommand.DO_CHANGE_SPEED, frame, (0.0, item.final_approach_speed, 0.0, 0.0), 0.0, 0.0, 0.0)
+    entry = MissionCommand.LOITER_TO_ALT if item.use_loiter_to_alt else MissionCommand.WAYPOINT
+    yield MissionItem(at, entry, frame, none, *approach)
+    yield MissionItem(at, MissionCommand.LAND, frame, none, *land)
 
 
 def _read_wpl(path: Path, text: str, vehicle_class: VehicleClass | None, speed_mps: float | None) -> MissionFile:
@@ -200,13 +231,14 @@ def _read_wpl(path: Path, text: str, vehicle_class: VehicleClass | None, speed_m
         first, items = items[0], items[1:]
         check_place(f"{path}: item 0 (home)", first.lat_deg, first.lon_deg, first.alt_m)
         home = (first.lat_deg, first.lon_deg, first.alt_m) if first.lat_deg or first.lon_deg else None
-    vehicle_class = vehicle_class or VehicleClass.PLANE
-    remarks: tuple[str, ...] = ()
+    remarks: list[str] = []
+    if vehicle_class is None:
+        vehicle_class = VehicleClass.PLANE
+        remarks.append(f"{path}: {_NO_CLASS}")
     if speed_mps is None:
         speed_mps = _PLANE_SPEED_MPS if vehicle_class is VehicleClass.PLANE else _OTHER_SPEED_MPS
-        remarks = (f"{path}: the file states no speed; {speed_mps:g} m/s is taken, --speed sets another one",)
-    found = mission_of(str(path), home, items, vehicle_class, speed_mps)
-    return MissionFile(found.missions, (*remarks, *found.remarks))
+        remarks.append(f"{path}: the file states no speed; {speed_mps:g} m/s is taken, --speed sets another one")
+    return mission_of(str(path), home, items, vehicle_class, speed_mps, remarks)
 
 
 def _wpl_item(where: str, line: str) -> MissionItem:

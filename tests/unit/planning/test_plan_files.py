@@ -94,6 +94,52 @@ def test_whatever_is_not_flown_as_it_stands_is_named(tmp_path):
     )
 
 
+LANDING = {
+    "type": "ComplexItem",
+    "complexItemType": "fwLandingPattern",
+    "landCoordinate": [47.02, 8.0, 0],
+    "landingApproachCoordinate": [47.03, 8.0, 40],
+}
+"""As QGroundControl writes it, without the keys that the way does not depend on."""
+
+
+def test_a_landing_pattern_is_flown_by_its_approach_to_its_place(tmp_path):
+    read = read_plan_file(qgc(tmp_path, [item(16, 47.01), LANDING | {"useDoChangeSpeed": True, "finalApproachSpeed": 9}]))
+    assert [leg.end for leg in read.missions[0].legs] == [(47.01, 8.0, 600.0), (47.03, 8.0, 540.0), (47.02, 8.0, 500.0)]
+    assert [leg.speed_mps for leg in read.missions[0].legs] == [18, 9, 9]
+    assert read.remarks == ()
+
+
+def test_a_landing_pattern_of_an_older_file_has_its_approach_by_another_name(tmp_path):
+    older = {key: value for key, value in LANDING.items() if key != "landingApproachCoordinate"}
+    above_sea_level = older | {"loiterCoordinate": [47.03, 8.0, 540], "altitudesAreRelative": False}
+    (mission,) = read_plan_file(qgc(tmp_path, [above_sea_level])).missions
+    assert [leg.end for leg in mission.legs] == [(47.03, 8.0, 540.0), (47.02, 8.0, 0.0)]
+    unplaced = qgc(tmp_path, [LANDING | {"landCoordinate": [147.0, 8.0, 0]}])
+    with pytest.raises(DataError, match=r"landCoordinate 1: should be less than or equal to 90, not 147"):
+        read_plan_file(unplaced)
+
+
+def test_an_arc_is_flown_straight_and_a_payload_brought_to_its_place(tmp_path):
+    path = qgc(tmp_path, [item(36, 47.01), item(94, 47.02, alt=0)])
+    read = read_plan_file(path)
+    assert [leg.end[0] for leg in read.missions[0].legs] == [47.01, 47.02]
+    assert read.remarks == (f"{path}: item 1: ARC_WAYPOINT is taken as the straight way to its end",)
+
+
+def test_a_plan_that_names_neither_class_nor_home_says_so_or_goes_without(tmp_path):
+    path = qgc(tmp_path, [item(16, 47.01), item(16, 47.02)], vehicleType=0, plannedHomePosition=[0, 0, 0])
+    read = read_plan_file(path)
+    assert read.missions[0].begin == (47.01, 8.0, 100.0)
+    assert read.remarks == (f"{path}: the file states no class of vehicle; a plane is taken, --class sets another one",)
+
+
+def test_a_plan_of_which_nothing_is_flown_says_what_was_skipped(tmp_path):
+    scan = {"type": "ComplexItem", "complexItemType": "StructureScan"}
+    with pytest.raises(DataError, match=r"one waypoint; item 1: StructureScan holds no items .* is skipped and 1 more$"):
+        read_plan_file(qgc(tmp_path, [scan, item(206)]))
+
+
 def test_a_copter_of_a_plan_hovers_and_flies_at_its_hover_speed(tmp_path):
     (mission,) = read_plan_file(qgc(tmp_path, [item(16, params=(5, 0, 0, None))], vehicleType=2), None, None).missions
     assert mission.vehicle_class is VehicleClass.MULTIROTOR
@@ -105,7 +151,12 @@ def test_a_file_of_mission_planner_gives_home_and_heights_above_it(tmp_path):
     (mission,) = read.missions
     assert mission.begin == (47.0, 8.0, 500.0)
     assert [leg.end for leg in mission.legs] == [(47.01, 8.0, 600.0), (47.02, 8.0, 100.0)]
-    assert "the file states no speed; 15 m/s is taken" in read.remarks[0]
+    assert read.remarks == (
+        f"{tmp_path}/a.waypoints: the file states no class of vehicle; a plane is taken, --class sets another one",
+        f"{tmp_path}/a.waypoints: the file states no speed; 15 m/s is taken, --speed sets another one",
+    )
+    told = read_plan_file(tmp_path / "a.waypoints", PerVehicle(VehicleClass.MULTIROTOR), PerVehicle(4.0))
+    assert (told.remarks, told.missions[0].vehicle_class) == ((), VehicleClass.MULTIROTOR)
 
 
 def test_lines_of_comment_and_parameters_that_are_not_used_are_read_as_mavproxy_and_px4_write_them(tmp_path):
@@ -136,7 +187,7 @@ def test_a_first_item_that_is_no_waypoint_is_flown_and_is_no_home(tmp_path):
         (f"QGC WPL 110\n{HOME}\n{ROW.replace('47.01', 'north')}\n", "line 3: latitude is 'north', expected a number"),
         (f"QGC WPL 110\n{HOME}\n{ROW.replace('47.01', '147')}\n", "item 1: latitude is 147, expected degrees from -90 to 90"),
         (f"QGC WPL 110\n{HOME}\n{WRONG_FRAME}\n", "item 1: frame is 9, expected one of 0, 3, 5, 6, 10, 11"),
-        (f"QGC WPL 110\n{HOME}\n", "expected two places at least"),
+        (f"QGC WPL 110\n{HOME}\n", "expected two places at least: home and one waypoint; the file states no class"),
         ("lat,lon\n1,2\n", "expected a QGroundControl .plan (JSON), 'QGC WPL 110' in the first line, or a scenario"),
     ],
 )
@@ -276,8 +327,13 @@ def test_a_malformed_vehicle_of_a_scenario_is_named_by_its_number(tmp_path, vehi
 
 
 def test_the_speed_of_a_plan_is_named_where_nothing_flies_at_it(tmp_path):
-    with pytest.raises(DataError, match=r"a\.plan: mission: cruiseSpeed: should be greater than or equal to 0\.1, not 1e-09"):
+    with pytest.raises(DataError, match=r"a\.plan: mission: cruiseSpeed is 1e-09, expected m/s from 0\.1 to 200"):
         read_plan_file(qgc(tmp_path, [item(16)], cruiseSpeed=1e-9))
+
+
+def test_only_the_speed_that_a_plan_is_flown_at_has_to_be_one(tmp_path):
+    (copter,) = read_plan_file(qgc(tmp_path, [item(16)], cruiseSpeed=0, vehicleType=2)).missions
+    assert copter.legs[0].speed_mps == 6
 
 
 def test_a_stay_of_any_length_ends_with_the_day(tmp_path):
@@ -335,3 +391,8 @@ def test_files_are_numbered_in_their_order_and_start_when_told(tmp_path):
         load_plan([first, first], speeds_mps=PerVehicle(of_one={7: 10.0}))
     with pytest.raises(UsageError, match="range_sigma_m must be above 0"):
         load_plan([first], assumed={"range_sigma_m": 0.0})
+
+
+def test_a_place_on_another_continent_is_told_with_its_distance(tmp_path):
+    with pytest.raises(UsageError, match=r"a\.plan has a place \d+ km from where the first plan begins, expected one site"):
+        load_plan([qgc(tmp_path, [item(16, 7.0)])])
