@@ -87,6 +87,10 @@ class Refusal(StrEnum):
     # Recordings
     DAMAGED_BYTES = "damaged_bytes"
     """Bytes of a recording that belong to no record; counted one by one."""
+    WRONG_TIMES = "wrong_times"
+    """Records whose time is not between those of the records before and after."""
+    CLOCK_WENT_BACK = "clock_went_back"
+    """How often the clock that a recording was written by went back."""
     NOT_RECORDED = "not_recorded"
     """A frame or entry that the disk was too slow to take."""
 

@@ -195,7 +195,7 @@ class RecordedMessages:
     def _read(self, record: TlogRecord) -> None:
         counts, found = self.counts, self._pending
         gap_ends_s = self._latest_s + _LONGEST_GAP_S
-        at_s = self._latest_s = max(self._latest_s, record.unix_s)
+        at_s = self._latest_s = record.unix_s
         read = read_side_channel(record.frame, at_s, self._own)
         if counts.records == 0:
             counts.first_s = at_s

@@ -9,6 +9,7 @@ import mmap
 import stat
 import struct
 from collections.abc import Iterator
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,6 +35,7 @@ SEARCHED_BYTES = 1 << 16
 """A file without one good record in so many bytes is no tlog."""
 
 _TIME = struct.Struct(">Q")
+_BACK_S = 1.0  # chosen: records of several links are that much out of order; a clock that is set goes further
 _SETUP_SIGNING = 256  # message id of SETUP_SIGNING
 _INCOMPAT_AT = 2  # byte of a frame; source: MAVLink 2, packet format
 _OTHERS = {
@@ -47,7 +49,7 @@ _OTHERS = {
 
 
 class TlogRecord(NamedTuple):
-    """One frame and when it was recorded, in UNIX seconds."""
+    """One frame and when it was recorded, in UNIX seconds. Of a recording these never go back."""
 
     unix_s: float
     frame: bytes
@@ -94,9 +96,10 @@ def without_signature(frame: bytes) -> bytes | None:
 class TlogReader:
     """The records of a tlog in the order of the file; memory does not grow with its length.
 
-    Where the file is damaged, reading goes on at the next record whose frame has a right checksum. `counts` then holds
-    damaged_bytes, and truncated if the file ends within a record. Iterating raises DataError where the file cannot be
-    read or is no tlog.
+    Where the file is damaged, reading goes on at the next record whose frame has a right checksum. A time that is not
+    between those around it is replaced by that of the record before; where the clock of the recording computer went back,
+    times go on from there. `counts` holds what of that was met, and truncated if the file ends within a record. Iterating
+    raises DataError where the file cannot be read or is no tlog.
     """
 
     def __init__(self, path: Path) -> None:
@@ -123,7 +126,25 @@ class TlogReader:
             if about.st_size == 0:
                 raise DataError(f"{self._path}: is empty, no tlog")
             with self._path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-                yield from self._records(data)
+                yield from self._in_order(self._records(data))
+
+    def _in_order(self, records: Iterator[TlogRecord]) -> Iterator[TlogRecord]:
+        """Yield records with times that never go back, and without those that are wrong."""
+        before_s, latest_s, ahead_s = None, float("-inf"), 0.0
+        for record, following in pairwise(chain(records, [None])):
+            assert record is not None
+            unix_s, frame = record
+            if before_s is not None and following is not None:
+                after_s = following.unix_s + _BACK_S
+                if before_s <= after_s and not before_s - _BACK_S <= unix_s <= after_s:
+                    self.counts.add(Refusal.WRONG_TIMES)
+                    unix_s = before_s
+            before_s = unix_s
+            if unix_s + ahead_s < latest_s - _BACK_S:
+                self.counts.add(Refusal.CLOCK_WENT_BACK)
+                ahead_s = latest_s - unix_s
+            latest_s = max(latest_s, unix_s + ahead_s)
+            yield TlogRecord(latest_s, frame)
 
     def _records(self, data: mmap.mmap) -> Iterator[TlogRecord]:
         position, size = 0, len(data)

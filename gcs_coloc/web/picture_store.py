@@ -160,9 +160,12 @@ class PictureStore:
             if self._sample_count > MAX_SAMPLES:
                 self._thin_samples()
 
-    def finish(self) -> None:
-        """State that the pass is at the end."""
-        self.computed_s = self.last_s
+    def finish(self, at_s: float) -> None:
+        """State that the pass is at the end, and when that is.
+
+        It is later than its last record says where the clock of the recording went back.
+        """
+        self.computed_s = self.last_s = at_s
 
     def picture_at(self, at_s: float) -> StoredPicture | None:
         """The newest picture not after a time, or the first; None before there is one."""

@@ -223,11 +223,12 @@ class ReplayPass:
                 due_s += store.picture_period_s
             replay.step()
             received_s = next_s
+        end_s = max(store.last_s, replay.now_s)
         for kind, amount in self.damage.items():
             text = f"the recording is damaged: {kind.replace('_', ' ')}: {amount}; replayed what is whole"
-            store.add_event(Notice(store.last_s, None, "warning", text))
-        self._add_picture(max(store.last_s, replay.now_s))
-        store.finish()
+            store.add_event(Notice(end_s, None, "warning", text))
+        self._add_picture(end_s)
+        store.finish(end_s)
 
     def _add_events(self, at_s: float, outputs: list[Outbound]) -> None:
         del at_s

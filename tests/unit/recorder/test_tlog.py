@@ -182,6 +182,40 @@ def test_a_record_with_an_impossible_time_is_damage(tmp_path):
     assert dict(log.counts) == {"damaged_bytes": len(impossible)}
 
 
+def at(unix_us, number):
+    return struct.pack(">Q", unix_us) + frame(number)
+
+
+@pytest.mark.parametrize("off_us", [-1_600_000_000_000_000, -2_000_000, 2_000_000, 2**51])
+def test_a_time_that_is_not_between_those_around_it_is_that_of_the_record_before(tmp_path, off_us):
+    """A flipped bit in a time, which no checksum covers; the rest of the flight was replayed at one instant of another year."""
+    log = reader(tmp_path, b"".join([record(0), record(1), at(STARTED_US + 200_000 + off_us, 2), record(3), record(4)]))
+    assert [round((unix_s - STARTED_US / 1e6) * 10) for unix_s, _ in log] == [0, 1, 1, 3, 4]
+    assert dict(log.counts) == {"wrong_times": 1}
+
+
+def test_a_pause_of_any_length_is_no_wrong_time(tmp_path):
+    log = reader(tmp_path, record(0) + record(10_000) + record(20_000) + record(20_001))
+    assert numbers(log) == [0, 10_000, 20_000, 20_001]
+    assert dict(log.counts) == {}
+
+
+def test_where_the_clock_went_back_times_go_on(tmp_path):
+    """A computer whose clock is set while it records; until it had caught up, all was replayed at one instant."""
+    hour_us = 3_600_000_000
+    ahead = [at(STARTED_US + hour_us + number * 100_000, number) for number in range(3)]
+    log = reader(tmp_path, b"".join([*ahead, record(3), record(4), record(5)]))
+    times_s = [unix_s - (STARTED_US + hour_us) / 1e6 for unix_s, _ in log]
+    assert times_s == pytest.approx([0.0, 0.1, 0.2, 0.2, 0.3, 0.4], abs=1e-5)
+    assert dict(log.counts) == {"clock_went_back": 1}
+
+
+def test_records_of_two_links_are_a_little_out_of_order(tmp_path):
+    log = reader(tmp_path, record(0) + record(5) + record(3) + record(6))
+    assert [round((unix_s - STARTED_US / 1e6) * 10) for unix_s, _ in log] == [0, 5, 5, 6]
+    assert dict(log.counts) == {}
+
+
 def test_reading_twice_gives_the_same(tmp_path):
     log = reader(tmp_path, record(0) + record(1))
     assert list(log) == list(log)

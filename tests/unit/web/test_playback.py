@@ -282,3 +282,10 @@ def test_events_that_are_left_out_are_counted():
 def test_a_command_without_meaning_is_refused(fields):
     with pytest.raises(ValidationError):
         PlaybackCommand.model_validate(fields)
+
+
+def test_a_recording_whose_clock_went_back_is_shown_to_its_end(flight, tmp_path):
+    twice = tmp_path / "twice.tlog"
+    twice.write_bytes(flight.read_bytes() * 2)
+    once, both = (Playback(pass_through(path), inf).state.last_s - EPOCH_S for path in (flight, twice))
+    assert both == pytest.approx(2.0 * once, abs=1.0)
