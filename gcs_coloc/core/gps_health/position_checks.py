@@ -29,7 +29,9 @@ _LEAST_MISS_M = 2.0  # chosen: what the rounding of times and velocities adds up
 _PERSISTS_S = 1.0  # chosen: five positions in a row; one late or early is none
 _HELD_S = 10.0  # chosen: three windows, as either side of a jump may be the wrong one
 _FROZEN_S = 3.0  # chosen: fifteen fixes in a row at 5 Hz; a receiver may repeat one or two
-_FROZEN_PATH_M = 10.0  # chosen: beyond the drift of a vehicle that hovers or stands
+_FROZEN_PATH_M = 10.0
+"""Chosen: beyond the drift of a vehicle that hovers or stands. The filter of one that stands may state a velocity of a metre a
+second for minutes while its position stays: its positions have to have moved as far, or its receiver by its own velocity."""
 _UNSTATED_SIGMA_M = 5.0  # chosen: a single-frequency receiver without corrections, 95 % within 10 m
 _LEAST_OFF_M = 10.0  # chosen: beyond what a sound filter and its receiver differ by in a turn
 _APART_IN_TIME_S = 2.0  # a receiver's delay and the gap between two messages that are sent once a second
@@ -75,6 +77,9 @@ class MotionCheck:
     _same_since_s: float = 0.0
     _heard_at_s: float = 0.0
     _same_path_m: float = 0.0
+    _same_own_path_m: float = 0.0
+    _same_from: PathStep | None = None
+    _same_moved_m: float = 0.0
 
     def add_position(self, reported: PositionMeasurement, *, own: bool) -> None:
         """Add a reported position; one without velocity shows nothing.
@@ -108,12 +113,16 @@ class MotionCheck:
 
     def add_receiver(self, fix: GpsReceiver) -> None:
         """Add a report of the vehicle's real receiver."""
-        place = (fix.lat_deg, fix.lon_deg, fix.alt_msl_m)
+        place, now = (fix.lat_deg, fix.lon_deg, fix.alt_msl_m), self._steps[-1] if self._steps else None
         if place != self._last_fix or fix.fix_type < FIX_3D:
-            self._last_fix, self._same_since_s, self._same_path_m = place, fix.received_at_s, 0.0
-        elif self._steps and fix.received_at_s - self._steps[-1].at_s <= _LONGEST_GAP_S + _WINDOW_S:
-            speed_mps = hypot(self._steps[-1].ve_mps, self._steps[-1].vn_mps)
-            self._same_path_m += speed_mps * min(fix.received_at_s - self._heard_at_s, _LONGEST_GAP_S)
+            self._last_fix, self._same_since_s, self._same_from = place, fix.received_at_s, now
+            self._same_path_m = self._same_own_path_m = self._same_moved_m = 0.0
+        elif now is not None and fix.received_at_s - now.at_s <= _LONGEST_GAP_S + _WINDOW_S:
+            step_s = min(fix.received_at_s - self._heard_at_s, _LONGEST_GAP_S)
+            self._same_path_m += step_s * hypot(now.ve_mps, now.vn_mps)
+            self._same_own_path_m += step_s * hypot(*(fix.velocity_ne_mps or (0.0, 0.0)))
+            began = self._same_from = self._same_from or now
+            self._same_moved_m = max(self._same_moved_m, hypot(now.east_m - began.east_m, now.north_m - began.north_m))
         self._heard_at_s = fix.received_at_s
 
     def implausible(self, now_s: float) -> StatedReason[GpsReason] | None:
@@ -124,9 +133,10 @@ class MotionCheck:
 
     def frozen(self) -> StatedReason[GpsReason] | None:
         """Return why the receiver counts as frozen, as none that moves repeats a fix to the centimetre."""
-        if self._heard_at_s - self._same_since_s < _FROZEN_S or self._same_path_m < _FROZEN_PATH_M:
+        moved_m = min(self._same_path_m, max(self._same_moved_m, self._same_own_path_m))
+        if self._heard_at_s - self._same_since_s < _FROZEN_S or moved_m < _FROZEN_PATH_M:
             return None
-        return StatedReason(GpsReason.FROZEN, self._same_path_m)
+        return StatedReason(GpsReason.FROZEN, moved_m)
 
     def _next(self, reported: PositionMeasurement, velocity: tuple[float, float, float]) -> PathStep:
         at_s = reported.measured_at_s

@@ -12,8 +12,8 @@ def reported(t: float, east_m: float, north_m: float, ve: float, vn: float, h_ac
     return PositionMeasurement(1, t, t + 0.1, (east_m, north_m, 50.0), h_acc_m, 2.0, (ve, vn, 0.0), 0.3)
 
 
-def fix(t: float, lat_deg: float, fix_type: int = 3) -> GpsReceiver:
-    return GpsReceiver(1, t, 0, fix_type, lat_deg, 8.0, 500.0, 10, 1.0, 1.0, 2.0, 0.3)
+def fix(t: float, lat_deg: float, fix_type: int = 3, velocity_ne_mps: tuple[float, float] | None = None) -> GpsReceiver:
+    return GpsReceiver(1, t, 0, fix_type, lat_deg, 8.0, 500.0, 10, 1.0, 1.0, 2.0, 0.3, velocity_ne_mps=velocity_ne_mps)
 
 
 def circle(t: float, speed_mps: float, radius_m: float) -> tuple[float, float, float, float]:
@@ -103,6 +103,34 @@ def test_a_hovering_receiver_with_static_hold_and_one_without_a_fix_are_not_froz
         lost.add_receiver(fix(t, 47.0, fix_type=1))
     assert hover.frozen() is None
     assert lost.frozen() is None
+
+
+def test_a_receiver_that_stands_is_not_frozen_while_the_filter_states_a_velocity():
+    """A real ArduCopter before its take-off: its EKF3 stated 0.9 m/s for minutes, its position stayed within a few decimetres."""
+    check = MotionCheck()
+    for i in range(600):
+        t = i / 5
+        check.add_position(reported(t, 0.3 * np.sin(0.05 * t), 0.0, -0.9, -0.3), own=True)
+        check.add_receiver(fix(t, 47.0, velocity_ne_mps=(0.0, 0.0)))
+        assert check.frozen() is None
+
+
+def test_a_receiver_that_states_a_velocity_and_holds_the_filter_at_its_place_is_frozen():
+    check = MotionCheck()
+    for i in range(25):
+        t = i / 5
+        check.add_position(reported(t, 4.0, 0.0, 15.0, 0.0), own=True)
+        check.add_receiver(fix(t, 47.0, velocity_ne_mps=(0.0, 20.0)))
+    assert check.frozen() is not None
+
+
+def test_a_receiver_frozen_while_the_vehicle_flies_a_small_round_is_told():
+    check = MotionCheck()
+    for i in range(100):
+        t = i / 5
+        check.add_position(reported(t, *circle(t, 3.0, 8.0)), own=True)
+        check.add_receiver(fix(t, 47.0))
+    assert check.frozen() is not None
 
 
 def test_a_slow_receiver_repeated_in_telemetry_is_not_frozen():
