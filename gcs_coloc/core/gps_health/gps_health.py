@@ -46,8 +46,8 @@ class GpsHealthSettings:
 
     fail_after_s: float = positive(1.0)
     """A SUSPECT vehicle without a fix, or with a frozen one, is FAILED after this long, one that never had a fix at once; so is
-    one whose receiver is silent while SYS_STATUS calls its GPS unhealthy or its EKF has no absolute position. Chosen: longer than
-    one lost message."""
+    one that is heard without its receiver since SYS_STATUS calls its GPS unhealthy or its EKF has no absolute position. Chosen:
+    longer than one lost message."""
     clear_after_s: float = positive(2.0)
     """Good evidence for this long without a break makes a SUSPECT vehicle HEALTHY. Chosen: a jammed receiver flickers."""
     steady_after_s: float = positive(3.0)
@@ -69,6 +69,10 @@ class GpsHealthSettings:
 _LONGEST_STEADY_S = 30.0  # chosen: a fix that comes for seconds under jamming has gone again by then
 _MOST_DOUBLINGS = 1023  # of a float: one more raises OverflowError
 _RELAPSE_WITHIN_S = 60.0  # chosen: a loss later than this after the recovery is another one
+_CEASED_S, _CEASED_UNUSED_S = 2.0, 10.0
+"""A receiver is gone where its autopilot was heard for so long without it: one that the autopilot complains of since then, and
+one that it did not use before, as before a take-off. Chosen: telemetry radios lose four reports in a row, but not ten."""
+_HEARD_STEP_S = 1.0  # of a gap between two messages; source: usual rates of SYS_STATUS and EKF_STATUS_REPORT are 1 Hz and more
 _EKF_LINGERS_S = 12.0  # EKF3 holds the worst speed accuracy with a decay of 10 s, and wants 10 s of good innovations
 
 _NOTHING_HEARD = StatedReason(GpsReason.NOTHING_HEARD)
@@ -92,6 +96,9 @@ class GpsHealth:
         self._was_healthy = self._was_failed = False
         self._has_own_trouble = False
         self._aided_at_s = float("-inf")
+        self._complains_since_s, self._complained_at_s = float("inf"), float("-inf")
+        self._reported_at_s = self._heard_at_s = float("-inf")
+        self._heard_without_s = 0.0
         self._motion = MotionCheck()
         self._own_fix = ReceiverCheck()
         self._doppler = DopplerCheck()
@@ -133,6 +140,7 @@ class GpsHealth:
         """Move the machine on to `now_s`; True where the state changed."""
         if evidence.is_aided:
             self._aided_at_s = now_s
+        self._listen(evidence)
         receiver, fault = evidence.receiver, self._fault(evidence, now_s)
         is_fresh = receiver is not None and now_s - receiver.received_at_s <= self._settings.silence_s
         has_fix = is_fresh and receiver is not None and receiver.fix_type >= FIX_3D
@@ -162,7 +170,7 @@ class GpsHealth:
         if evidence.contradiction is not None and evidence.contradiction.is_identified:
             return self._enter(GpsState.FAILED, fault, now_s)
         receiver = evidence.receiver
-        lost_fix = receiver is not None and (self._receiver_fault(receiver) is not None or self._has_ceased(evidence, now_s))
+        lost_fix = receiver is not None and (self._receiver_fault(receiver) is not None or self._has_ceased(now_s))
         # A vehicle without a fix from the first message on, as after a restart in a loss, has no lost message to wait out.
         is_lasting = self.state is GpsState.SUSPECT and now_s - self._since_s >= self._settings.fail_after_s
         if lost_fix and (is_lasting or not self._was_healthy):
@@ -235,14 +243,29 @@ class GpsHealth:
                 return StatedReason(GpsReason.EKF_NOT_ABSOLUTE)
         return None
 
-    def _has_ceased(self, evidence: GpsEvidence, now_s: float) -> bool:
+    def _listen(self, evidence: GpsEvidence) -> None:
+        """Note since when its autopilot complains, and for how long it was heard since its receiver was."""
+        system, ekf, receiver = evidence.system, evidence.ekf, evidence.receiver
+        newest_s = max((each.received_at_s for each in (system, ekf) if each is not None), default=float("-inf"))
+        complaints_s = [system.received_at_s] if system is not None and system.gps_enabled and not system.gps_healthy else []
+        if ekf is not None and not ekf.horizontal_position_absolute:
+            complaints_s.append(ekf.received_at_s)
+        self._complains_since_s = min(self._complains_since_s, *complaints_s) if complaints_s else float("inf")
+        self._complained_at_s = max(complaints_s, default=float("-inf"))
+        if receiver is not None and receiver.received_at_s > self._reported_at_s:
+            self._reported_at_s = self._heard_at_s = receiver.received_at_s
+            self._heard_without_s = 0.0
+        if newest_s > self._heard_at_s:
+            self._heard_without_s += min(newest_s - self._heard_at_s, _HEARD_STEP_S)
+            self._heard_at_s = newest_s
+
+    def _has_ceased(self, now_s: float) -> bool:
         """Return whether a receiver that is not heard any more is gone, by what else the vehicle says now."""
         oldest_s = now_s - self._settings.silence_s
-        if evidence.receiver is None or evidence.receiver.received_at_s >= oldest_s:
+        if self._reported_at_s >= oldest_s or self._complained_at_s < oldest_s:
             return False
-        system, ekf = evidence.system, evidence.ekf
-        unhealthy = system is not None and system.received_at_s >= oldest_s and system.gps_enabled and not system.gps_healthy
-        return unhealthy or (ekf is not None and ekf.received_at_s >= oldest_s and not ekf.horizontal_position_absolute)
+        began_with_it = self._complains_since_s >= self._reported_at_s - _HEARD_STEP_S
+        return self._heard_without_s >= (_CEASED_S if began_with_it else _CEASED_UNUSED_S)
 
     def _receiver_fault(self, receiver: GpsReceiver) -> StatedReason[GpsReason] | None:
         if receiver.fix_type < FIX_3D:

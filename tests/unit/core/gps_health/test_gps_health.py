@@ -131,6 +131,43 @@ def test_what_was_said_before_a_receiver_fell_silent_does_not_make_it_lost():
     assert health.state is GpsState.SUSPECT
 
 
+def before_take_off_until(t_s: float) -> Machine:
+    """A sound receiver of an autopilot whose EKF has no absolute position yet, as before a take-off."""
+    health = healthy_until(5.0)
+    for i in range(1, round((t_s - 5.0) * 5.0) + 1):
+        t = 5.0 + i / 5
+        health.add(receiver(t))
+        health.add(EkfStatus(1, t, False, False, False))
+        health.update(t)
+    assert health.state is GpsState.SUSPECT
+    return health
+
+
+def test_a_poor_link_does_not_make_a_receiver_lost_that_the_filter_does_not_use_yet():
+    """Real copters before their take-off, by telemetry radios: gaps of 3 to 13 s, and four reports in a row that were lost."""
+    health = before_take_off_until(20.0)
+    for i in range(150):
+        t = 33.0 + i / 10
+        if i % 10 == 0:
+            health.add(EkfStatus(1, t, False, False, False))
+        if i % 50 == 30:
+            health.add(receiver(t))
+        health.update(t)
+        assert health.state is GpsState.SUSPECT
+
+
+def test_a_receiver_that_the_filter_did_not_use_is_lost_once_the_vehicle_was_heard_without_it_for_ten_seconds():
+    health = before_take_off_until(20.0)
+    failed_s = None
+    for i in range(1, 200):
+        t = 20.0 + i / 10
+        if i % 10 == 0:
+            health.add(EkfStatus(1, t, False, False, False))
+        health.update(t)
+        failed_s = t if failed_s is None and health.state is GpsState.FAILED else failed_s
+    assert failed_s == pytest.approx(30.0, abs=1.0)
+
+
 def test_a_short_dropout_clears_after_two_seconds():
     health = healthy_until(5.0)
     run(health, 5.2, 5.4, fix_type=1)
