@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from gcs_coloc.core.reasons import counted
+
 _MOST_NAMED = 3  # chosen: one line of a terminal
 
 app = typer.Typer(name="import", add_completion=False, help="Bring data of another format into the data-set layout.")
@@ -40,6 +42,6 @@ def pyfg(
     if found.dropped:
         first = "; ".join(found.dropped[:_MOST_NAMED])
         print(f"gcs-coloc: warning: {len(found.dropped)} lines are wrong and left out: {first}", file=sys.stderr)
-    nodes = f"{', '.join(found.denied)} denied, {len(found.peers)} peers, {found.anchors} anchors"
+    nodes = f"{', '.join(found.denied)} denied, {counted(len(found.peers), 'peer')}, {counted(found.anchors, 'anchor')}"
     print(f"written: {directory}: {nodes}, {found.ranges} ranges")
     print(f"next: gcs-coloc evaluate {directory}")

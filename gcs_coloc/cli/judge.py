@@ -15,6 +15,7 @@ from rich.table import Table
 
 from gcs_coloc.cli.recordings import EstimatorOption, FleetOption, settings_for
 from gcs_coloc.cli.task_options import JobsOption, SchedulerOption, progress_of, result_console, workers_for
+from gcs_coloc.core.reasons import counted
 from gcs_coloc.recorder.judged_flight import JudgedFlight, find_recordings
 from gcs_coloc.recorder.judging import (
     FIGURES,
@@ -136,7 +137,7 @@ def _summary(flights: Sequence[JudgedFlight]) -> str:
     read = [flight for flight in flights if not flight.error]
     hours = sum(flight.duration_s for flight in read) / 3600.0
     vehicle_hours = sum(its.get("without_gps_s") or 0.0 for flight in read for its in flight.vehicles.values()) / 3600.0
-    text = f"{len(flights)} recordings, {hours:.2f} h, {vehicle_hours:.2f} vehicle-hours without GPS"
+    text = f"{counted(len(flights), 'recording')}, {hours:.2f} h, {vehicle_hours:.2f} vehicle-hours without GPS"
     with_truth = sum(flight.has_truth for flight in read)
     text += f", {with_truth} with truth"
     return text + (f", {len(flights) - len(read)} cannot be read" if len(read) < len(flights) else "")

@@ -14,6 +14,7 @@ import typer
 
 from gcs_coloc.config.fleets import load_settings
 from gcs_coloc.config.settings import Settings
+from gcs_coloc.core.reasons import counted
 from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.evaluation.data_checks.findings import DataFinding
 from gcs_coloc.recorder.flight_history import FlightHistory, read_history
@@ -48,8 +49,7 @@ def export(
         history = _open(file, settings_for(config, fleet, estimator), ranges, None, tables.add)
         tables.close()
         files = [*tables.files, *write_all(history, base)]
-    vehicles = len(history.tracks)
-    print(f"{', '.join(map(str, files))}: tracks of {vehicles} vehicle{'s' if vehicles != 1 else ''}")
+    print(f"{', '.join(map(str, files))}: tracks of {counted(len(history.tracks), 'vehicle')}")
 
 
 def report(

@@ -1,4 +1,4 @@
-"""Reasons of the core: those that it states with numbers, and those that it counts refusals by."""
+"""Reasons of the core: those that it states with numbers, those that refusals are counted by; wording."""
 
 from __future__ import annotations
 
@@ -9,6 +9,11 @@ from typing import Generic, TypeVar
 DUPLICATE_ID_WORDING = "two autopilots use its system id; give each its own"
 DOCTOR_NAMES_SETTINGS = "gcs-coloc doctor names the settings"
 """The remedy where an autopilot does not use what it is sent: its parameters are known there alone."""
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a number with its noun, which takes an s where it is not one."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 class WordedReason(Enum):

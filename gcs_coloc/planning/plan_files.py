@@ -20,6 +20,7 @@ from pydantic.alias_generators import to_camel
 from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import VehicleClass
+from gcs_coloc.core.reasons import counted
 from gcs_coloc.core.stations.node_id import MAX_STATION_ID, MAX_SYSTEM_ID
 from gcs_coloc.planning.fleet_plan import PlanAssumptions
 from gcs_coloc.planning.flight_path import LONGEST_S
@@ -186,9 +187,9 @@ def _read_qgc(path: Path, text: str, vehicle_class: VehicleClass | None, speed_m
 def _beside_the_mission(path: Path, plan: _QgcPlan) -> Iterator[str]:
     """Yield a remark for a geofence, and one for rally points: what a .plan holds besides its mission."""
     if areas := len(plan.geo_fence.polygons) + len(plan.geo_fence.circles):
-        yield f"{path}: geoFence: {areas} area{'s' if areas > 1 else ''} of a geofence, which is not looked at"
+        yield f"{path}: geoFence: {counted(areas, 'area')} of a geofence, which is not looked at"
     if points := len(plan.rally_points.points):
-        yield f"{path}: rallyPoints: {points} rally point{'s' if points > 1 else ''}, not flown to"
+        yield f"{path}: rallyPoints: {counted(points, 'rally point')}, not flown to"
 
 
 def _qgc_items(where: str, at: int, item: _SimpleItem | _ComplexItem, remarks: list[str]) -> Iterator[MissionItem]:

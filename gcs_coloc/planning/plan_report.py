@@ -15,6 +15,7 @@ import numpy as np
 
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.readiness.vehicle_readiness import IN_LINE_HDOP
+from gcs_coloc.core.reasons import counted
 from gcs_coloc.planning.assessment import Assessment, Outlook, Stretch
 from gcs_coloc.planning.improvement import Improvement, no_improvement
 from gcs_coloc.recorder.html_page import Ink, document, picture, table
@@ -34,7 +35,7 @@ def page(assessed: Assessment, improvement: Improvement | None, *, is_improvemen
         UsageError: matplotlib is not installed.
     """
     plan = assessed.plan
-    title = f"Plan of {len(plan.vehicles)} vehicle{'s' if len(plan.vehicles) > 1 else ''}"
+    title = f"Plan of {counted(len(plan.vehicles), 'vehicle')}"
     parts = [_answer(assessed, improvement, is_improvement_sought=is_improvement_sought)]
     alt = "Map of the ways, east over north; where a vehicle would have no fix in red"
     parts.append(picture(alt, partial(_draw_map, assessed=assessed)))

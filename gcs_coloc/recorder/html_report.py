@@ -17,6 +17,7 @@ import numpy as np
 
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
+from gcs_coloc.core.reasons import counted
 from gcs_coloc.recorder.flight_history import WITHOUT_GPS, FlightHistory
 from gcs_coloc.recorder.html_page import Ink, document, picture, table
 from gcs_coloc.recorder.journal import EVERY_S, VehicleEntry
@@ -54,7 +55,7 @@ def page(history: FlightHistory) -> str:
 def _summary(history: FlightHistory, results: Mapping[str, Any]) -> str:
     counts = history.counts
     begun = datetime.fromtimestamp(counts.first_s, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
-    fleet = f"{len(results['vehicles'])} vehicles, estimator {escape(history.estimator)}"
+    fleet = f"{counted(len(results['vehicles']), 'vehicle')}, estimator {escape(history.estimator)}"
     lines = [f"{begun}, {counts.last_s - counts.first_s:.1f} s, {counts.records} frames, {fleet}."]
     lines.extend(f'<span class="bad">The file is damaged: {_spaced(kind)}: {n}.</span>' for kind, n in history.damage.items())
     lines.extend(f'<span class="bad">The data do not agree: {escape(finding.text)}</span>' for finding in history.findings)
