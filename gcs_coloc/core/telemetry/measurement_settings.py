@@ -24,6 +24,9 @@ class MeasurementSettings:
     Chosen: 1.6 times the horizontal one, as VDOP to HDOP."""
     velocity_sigma_mps: float = positive(0.5)
     """Of a receiver that states no speed accuracy. Chosen: a Doppler velocity in motion."""
+    min_velocity_sigma_mps: float = positive(0.1)
+    """No velocity counts as better than this. Chosen: the filter of a vehicle that stands states a centimetre a second or ten,
+    for minutes, whatever its receiver states."""
     min_position_sigma_m: float = positive(0.3)
     """No receiver counts as better than this. Chosen: without RTK a smaller stated accuracy is optimistic."""
     range_sigma_m: float = positive(5.0)

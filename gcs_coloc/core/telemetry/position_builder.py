@@ -48,7 +48,8 @@ def receiver_accuracy(receiver: GpsReceiver | None, settings: MeasurementSetting
     dilution = max(receiver.hdop, 1.0) if receiver is not None and receiver.hdop is not None else 1.0
     sigma_h_m = max(stated_h, s.min_position_sigma_m) if stated_h is not None else s.position_sigma_h_m * dilution
     sigma_v_m = max(stated_v, s.min_position_sigma_m) if stated_v is not None else s.position_sigma_v_m * dilution
-    return ReceiverAccuracy(sigma_h_m, sigma_v_m, stated_speed if stated_speed is not None else s.velocity_sigma_mps)
+    sigma_v_mps = max(stated_speed, s.min_velocity_sigma_mps) if stated_speed is not None else s.velocity_sigma_mps
+    return ReceiverAccuracy(sigma_h_m, sigma_v_m, sigma_v_mps)
 
 
 @dataclass(slots=True)

@@ -10,7 +10,8 @@ import pytest
 from built_measurements import Builder, gps, position, vehicle
 
 from gcs_coloc.core.measurements import PositionMeasurement
-from gcs_coloc.core.telemetry.position_builder import PositionJumps
+from gcs_coloc.core.telemetry.measurement_settings import MeasurementSettings
+from gcs_coloc.core.telemetry.position_builder import PositionJumps, receiver_accuracy
 
 SPEED_MPS = 21.0
 STATED_M = 0.5
@@ -101,3 +102,10 @@ def test_what_is_measured_of_a_position_that_jumped_states_it():
     assert isinstance(before, PositionMeasurement)
     assert isinstance(jumped, PositionMeasurement)
     assert jumped.sigma_h_m > 5.0 > before.sigma_h_m
+
+
+@pytest.mark.parametrize(("stated_mps", "taken_mps"), [(0.04, 0.1), (0.3, 0.3), (None, 0.5)])
+def test_no_velocity_counts_as_better_than_a_filter_at_rest(stated_mps, taken_mps):
+    """A rover that stood stated 0.09 m/s for minutes at 0.04 m/s; as a peer it drew another vehicle 3 m off."""
+    accuracy = receiver_accuracy(replace(gps(0.5, 0.5), speed_acc_mps=stated_mps), MeasurementSettings())
+    assert accuracy.sigma_velocity_mps == taken_mps
