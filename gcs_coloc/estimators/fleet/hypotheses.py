@@ -27,6 +27,7 @@ from gcs_coloc.estimators.fleet.ambiguity.reflection import (
     find_joint_reflection,
     find_reflected_start,
     find_reflection_plane,
+    may_peers_have_moved,
     mixture,
     offset_sigmas,
     only_motion_separates,
@@ -192,6 +193,7 @@ class FleetHypotheses:
         moved = frozenset(vehicle for vehicle, side in sides.items() if side is not RelativeSide.SAME) or group
         line = vertical_plane_through_line(cluster, min(moved), at_s, moved)
         hypothesis.motion_only = only_motion_separates(cluster, moved, at_s, line)
+        hypothesis.peers_may_move = may_peers_have_moved(cluster, moved, at_s)
         if set(sides.values()) == {RelativeSide.SAME} or abs(hypothesis.log_odds) > _DECIDED_LOG_ODDS:
             del self.hypotheses[group]
             if hypothesis.log_odds > 0.0:
@@ -229,14 +231,17 @@ class FleetHypotheses:
         first = min(group)
         cluster = self.main.clusters[first]
         line = vertical_plane_through_line(cluster, first, at_s, group)
-        motion_only = only_motion_separates(cluster, group, at_s, line)
+        motion_only, peers_may_move = (
+            only_motion_separates(cluster, group, at_s, line),
+            may_peers_have_moved(cluster, group, at_s),
+        )
         model = FleetModel(self.main.settings)
         model.replace_from(self.main, first)
         for vehicle, plane in planes.items():
             reflect(model.clusters[vehicle], vehicle, plane)
             record = model.records.writable(vehicle)
             record.air_check = record.air_check.reflected()
-        self.hypotheses[group] = ReflectionHypothesis(model, motion_only)
+        self.hypotheses[group] = ReflectionHypothesis(model, motion_only, peers_may_move)
 
     def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
         """Return the mixture of all hypotheses, eq. (25), or why there is no estimate.

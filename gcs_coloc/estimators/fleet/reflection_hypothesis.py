@@ -37,12 +37,13 @@ class RelativeSide(Enum):
 class ReflectionHypothesis:
     """A model in which denied vehicles are reflected, with its odds against the main model.
 
-    `log_odds` is the logarithm of the odds. `motion_only`: only the process model separates the two. `separated`: in the last
-    test one of them was on opposite sides.
+    `log_odds` is the logarithm of the odds. `motion_only`: only the process model separates the two. `peers_may_move`: that may
+    as well be the motion of a denied peer. `separated`: in the last test one of them was on opposite sides.
     """
 
     model: FleetModel
     motion_only: bool
+    peers_may_move: bool = False
     log_odds: float = 0.0
     separated: bool = True
     _since_s: float = -math.inf
@@ -50,7 +51,12 @@ class ReflectionHypothesis:
     _raised: float = 0.0
 
     def add_evidence(self, gain: float, at_s: float) -> None:
-        """Add a log-likelihood ratio, eq. (24); its sum over a manoeuvre is bounded if motion alone tells."""
+        """Add a log-likelihood ratio, eq. (24).
+
+        Its sum over a manoeuvre is bounded if motion alone tells; it is nothing if a denied peer may have moved instead.
+        """
+        if self.motion_only and self.peers_may_move:
+            return
         if not self.motion_only:
             self.log_odds += gain
             self._since_s = -math.inf

@@ -16,7 +16,7 @@ from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.estimators.fleet.ambiguity.curved_ranges import variance_across_m2
 from gcs_coloc.estimators.fleet.ambiguity.peer_geometry import NEAR_SIGMAS, SEPARATED, PeerGeometry
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
-from gcs_coloc.estimators.fleet.ekf.process_model import fresh_air_data
+from gcs_coloc.estimators.fleet.ekf.process_model import fresh_air_data, shows_its_motion
 from gcs_coloc.estimators.fleet.ekf.state import POSITION, SIZE, TURN, VELOCITY
 
 _SPEED_SIGMAS = 2.0  # chosen: a closing speed beyond two sigmas is known by its sign
@@ -171,6 +171,15 @@ def only_motion_separates(cluster: Cluster, group: frozenset[int], at_s: float, 
     most = 2 if all(cluster.records[vehicle].has_height for vehicle in group) else 3
     few = (line is not None and not line.ranges_separate) or len(_ranged_peers(cluster, group, at_s)) <= most
     return few and any(fresh_air_data(cluster.records[vehicle], cluster.settings, at_s) is None for vehicle in group)
+
+
+def may_peers_have_moved(cluster: Cluster, group: Collection[int], at_s: float) -> bool:
+    """Return whether a peer of a group is denied itself and does not show its own motion.
+
+    What separates the sides by motion alone may then be that peer's motion.
+    """
+    records = (cluster.records[peer] for peer in _ranged_peers(cluster, group, at_s))
+    return any(record.denied_vehicle and not shows_its_motion(record, cluster.settings, at_s) for record in records)
 
 
 def offset_sigmas(cluster: Cluster, denied_vehicle: int, plane: ReflectionPlane, at_s: float) -> float:
