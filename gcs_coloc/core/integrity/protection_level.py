@@ -80,12 +80,14 @@ class FaultLevel:
 
     `level_m`: without the bias of unknown delays, m. `estimate_sigma_m`: the estimate's 1-sigma then, m; the level grows with it.
     `ranged_at_s`: service time of the newest range. `untested`: the vehicles whose receiver the ranges cannot test.
+    `other_side_m`: how far off it is on the other side of its peers (`other_side`), which counts unless its motion is shown, m.
     """
 
     level_m: float
     estimate_sigma_m: float
     ranged_at_s: float
     untested: tuple[int, ...]
+    other_side_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,6 +198,8 @@ def protection_level(
     if faults is not None:
         grown_m = settings.nominal_sigmas * max(sigma_m - faults.estimate_sigma_m, 0.0)
         horizontal_m = max(horizontal_m, faults.level_m + grown_m)
+        if shown_until_s is None:
+            horizontal_m = max(horizontal_m, faults.other_side_m)
         untested = faults.untested
         shown_until_s = max(faults.ranged_at_s, shown_until_s) if shown_until_s is not None else faults.ranged_at_s
     if shown_until_s is not None:

@@ -206,6 +206,8 @@ _ALL = (
     _benign("two-peers", "two peers, with air data", peers=(2, 2)),
     _benign("two-peers-no-air-data", "two peers, no attitude, no airspeed", peers=(2, 2), has_air_data=False),
     _benign("one-peer", "one peer, with air data", peers=(1, 1)),
+    _benign("two-denied-copters", "two denied copters that range each other and two or three peers, with blackouts", _COPTERS,
+            denied=2, peers=(2, 3), blackout_s=(3.0, 8.0)),
     _benign("no-air-data", "planes without attitude and airspeed", has_air_data=False),
     _benign("peers-aside", "all peers to one side, 1 to 3 km away", layout=Layout.ASIDE, extent_m=(1000.0, 3000.0)),
     _benign("peers-in-line", "hovering peers in one line that the denied copter crosses", _COPTERS,

@@ -117,6 +117,14 @@ def test_without_air_data_the_level_grows_by_what_the_vehicle_can_have_done():
     assert protection_level(estimate(19.0), found, blind, SETTINGS).horizontal_m > 154.0
 
 
+def test_the_other_side_of_its_peers_is_in_the_level_unless_its_motion_is_shown():
+    found = level(receiver(1, 0.0, 1.0))
+    beside = replace(found, other_side_m=320.0)
+    blind = Exposure(delay_is_known=True, shown_until_s=None)
+    assert protection_level(estimate(), beside, blind, SETTINGS).horizontal_m == pytest.approx(320.0)
+    assert protection_level(estimate(), beside, KNOWN, SETTINGS) == protection_level(estimate(), found, KNOWN, SETTINGS)
+
+
 def test_a_trusted_vehicle_that_falls_silent_may_turn_as_well():
     """A real ArduPlane whose radio was silent in a turn was 33 m off after 3 s, with a level of 23 m."""
     silent = Exposure(delay_is_known=True, shown_until_s=10.0)
