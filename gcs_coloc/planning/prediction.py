@@ -25,6 +25,7 @@ from gcs_coloc.core.integrity.epoch_tests.epoch import (
     RangeResidual,
     height_sigma_m,
 )
+from gcs_coloc.core.integrity.other_side import OpenSides
 from gcs_coloc.core.integrity.protection_level import VERTICAL_RATIO, Exposure, FaultLevel, fault_level, protection_level
 from gcs_coloc.core.integrity.range_residuals import WINDOW_S
 from gcs_coloc.core.integrity.solution_separation import SolutionSeparation
@@ -114,6 +115,7 @@ class _Recursion:
         self._stations = {station.node: station for station in plan.stations}
         self._policies: dict[int, FixPolicy] = {}
         self._levels: dict[int, FaultLevel] = {}
+        self._open_sides = OpenSides()
         self._levels_due_s = -math.inf
         self._lost: frozenset[int] = frozenset()
         self._chosen: dict[int, frozenset[int]] = {}
@@ -253,11 +255,13 @@ class _Recursion:
                 priors[sysid] = PositionPrior(here[sysid], 0.0, sigma_v_m, no_prior=True)
                 priors.setdefault(node, self._prior(node, located, here))
                 residuals.append(RangeResidual(sysid, node, 0.0, noise_m, RANGE_BIAS_M))
-        separation = SolutionSeparation(Epoch(at_s, priors, tuple(residuals))) if residuals else None
+        epoch = Epoch(at_s, priors, tuple(residuals))
+        separation = SolutionSeparation(epoch) if residuals else None
         for sysid, where in located.items():
             if separation is not None and sysid in separation.vehicles:
                 hypotheses = separation.expected_of(sysid, where.covariance[:2, :2])
-                self._levels[sysid] = fault_level(hypotheses, where, at_s, a.protection)
+                level = fault_level(hypotheses, where, at_s, a.protection)
+                self._levels[sysid] = replace(level, other_side_m=self._open_sides.other_side_m(epoch, sysid))
 
     def _prior(self, node: int, located: Mapping[int, Estimate], here: Mapping[int, Vector3]) -> PositionPrior:
         if node in self._stations:

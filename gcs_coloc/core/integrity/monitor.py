@@ -16,7 +16,7 @@ from gcs_coloc.core.gps_health.evidence import FaultReason, PositionFault
 from gcs_coloc.core.gps_health.gps_health import DISTRUSTED
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch
 from gcs_coloc.core.integrity.epoch_tests.pair_outliers import unordered
-from gcs_coloc.core.integrity.other_side import other_side_m
+from gcs_coloc.core.integrity.other_side import OpenSides
 from gcs_coloc.core.integrity.protection_level import (
     Exposure,
     FaultLevel,
@@ -51,7 +51,7 @@ class IntegrityMonitor:
         self._protection = protection if protection is not None else ProtectionSettings()
         self._fault_levels: dict[int, FaultLevel] = {}
         self._untested_until_s: dict[int, float] = {}
-        self._open_sides: set[int] = set()
+        self._open_sides = OpenSides()
         self._consistency = RangeConsistency()
         self._reacquisition = ReacquisitionMonitor()
 
@@ -59,7 +59,7 @@ class IntegrityMonitor:
         """Forget a vehicle that makes room for another one."""
         self._consistency.forget(sysid)
         self._reacquisition.forget(sysid)
-        self._open_sides.discard(sysid)
+        self._open_sides.forget((sysid,))
 
     def add_position(self, position: PositionMeasurement) -> None:
         """Add the position that a witness reports.
@@ -137,7 +137,7 @@ class IntegrityMonitor:
     def _update_fault_levels(self, vehicles: Sequence[ReviewedVehicle], now_s: float) -> None:
         epoch = self._consistency.epoch
         located = [(vehicle.sysid, vehicle.estimate) for vehicle in vehicles if vehicle.estimate is not None]
-        self._open_sides.difference_update(vehicle.sysid for vehicle in vehicles if vehicle.is_witness)
+        self._open_sides.forget(vehicle.sysid for vehicle in vehicles if vehicle.is_witness)
         separation = SolutionSeparation(epoch) if located and epoch.residuals else None
         levels: dict[int, FaultLevel] = {}
         also, unisolated = self._consistency.also, self._consistency.unisolated.ranges
@@ -148,12 +148,7 @@ class IntegrityMonitor:
             ranged_at_s = residuals.ranged_at_s(sysid)
             if separation is not None and ranged_at_s is not None and sysid in separation.vehicles:
                 level = fault_level(separation.of(sysid), where, ranged_at_s, self._protection, also, unisolated)
-                other_m = other_side_m(epoch, sysid, was_open=sysid in self._open_sides)
-                levels[sysid] = replace(level, other_side_m=other_m)
-                if other_m > 0.0:
-                    self._open_sides.add(sysid)
-                else:
-                    self._open_sides.discard(sysid)
+                levels[sysid] = replace(level, other_side_m=self._open_sides.other_side_m(epoch, sysid))
             elif now_s < (until_s := self._untested_until_s.get(sysid, now_s)) and residuals.is_testable(sysid):
                 untested_until_s[sysid] = until_s
             else:

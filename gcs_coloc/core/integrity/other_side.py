@@ -9,12 +9,33 @@ while the other was not heard fits the ranges on either side.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch
 
 _SEPARATED = 16.0  # chosen: four sigmas between the ranges of both sides
+
+
+class OpenSides:
+    """The vehicles that were in a figure whose side was open, and whose own side has been open since."""
+
+    def __init__(self) -> None:
+        self._vehicles: set[int] = set()
+
+    def other_side_m(self, epoch: Epoch, vehicle: int) -> float:
+        """Return how far off the other side is, as the function of that name; of one that leaves a figure too."""
+        found_m = other_side_m(epoch, vehicle, was_open=vehicle in self._vehicles)
+        if found_m > 0.0:
+            self._vehicles.add(vehicle)
+        else:
+            self._vehicles.discard(vehicle)
+        return found_m
+
+    def forget(self, vehicles: Iterable[int]) -> None:
+        """Forget vehicles whose own position is believed again, or that make room for others."""
+        self._vehicles.difference_update(vehicles)
 
 
 def other_side_m(epoch: Epoch, vehicle: int, *, was_open: bool = False) -> float:

@@ -126,6 +126,15 @@ def test_more_noise_and_a_second_denied_vehicle_make_it_worse():
     assert with_another.denied == (1, 2)
 
 
+@pytest.mark.parametrize(("kind", "stations", "has_fix"), [("multirotor", 0, False), ("multirotor", 1, True), ("plane", 0, True)])
+def test_two_denied_copters_beside_two_peers_are_on_either_side_of_them(kind, stations, has_fix):
+    places = ((0, 0), (700, 0), (0, 700), (700, 700))
+    vehicles = tuple(square(k, *place, vehicle_class=VehicleClass(kind)) for k, place in enumerate(places, start=1))
+    beside = (PlannedStation(1, (1500.0, 350.0, 10.0)),)[:stations]
+    for predicted in predict(FleetPlan(FRAME, vehicles, beside), (1, 2)):
+        assert (predicted.share_with_fix > 0.9) is has_fix
+
+
 def test_a_vehicle_takes_part_between_start_and_end_alone():
     late = square(2, 700, 0, start_s=60.0, end_s=120.0)
     plan = FleetPlan(FRAME, (square(1, 0, 0), late, square(3, 0, 700)))
