@@ -16,6 +16,7 @@ import numpy as np
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch
 
 _SEPARATED = 16.0  # chosen: four sigmas between the ranges of both sides
+_UNHELD_M = 10_000.0  # of a figure without anchors, which may be anywhere; chosen: beyond any alert limit, and a number
 
 
 class OpenSides:
@@ -41,9 +42,9 @@ class OpenSides:
 def other_side_m(epoch: Epoch, vehicle: int, *, was_open: bool = False) -> float:
     """Return how far apart both sides of its anchors are for the figure of a vehicle without prior, in m.
 
-    It is that of the vehicle of the figure farthest from the line of the anchors: what turned the figure moved all of it. It is 0
-    where the ranges tell the sides apart; infinite with less than two anchors. A vehicle alone is no figure, unless its side
-    `was_open` before: it may have come out of a figure on the wrong one.
+    It is that of the vehicle of the figure farthest from the line of the anchors, or from the one anchor: what turned the figure
+    moved all of it. It is 0 where the ranges tell the sides apart. A vehicle alone is no figure, unless its side `was_open`
+    before: it may have come out of a figure on the wrong one.
     """
     arrays = epoch.arrays
     pairs = [(int(a), int(b)) for a, b in arrays.ends.T]
@@ -58,9 +59,11 @@ def other_side_m(epoch: Epoch, vehicle: int, *, was_open: bool = False) -> float
         return 0.0
     places_m = np.array([epoch.priors[v].position_enu_m[:2] for v in arrays.vehicles])
     anchors = sorted({end for pair in pairs if group & set(pair) for end in pair if end not in group})
-    if len(anchors) < 2:
-        return math.inf
+    if not anchors:
+        return _UNHELD_M
     centre_m = places_m[anchors].mean(axis=0)
+    if len(anchors) == 1:
+        return 2.0 * float(np.linalg.norm(places_m[sorted(group)] - centre_m, axis=1).max())
     offsets_m = places_m[anchors] - centre_m
     normal = np.linalg.eigh(offsets_m.T @ offsets_m)[1][:, 0]
     away_m = (places_m - centre_m) @ normal

@@ -231,10 +231,8 @@ class FleetHypotheses:
         first = min(group)
         cluster = self.main.clusters[first]
         line = vertical_plane_through_line(cluster, first, at_s, group)
-        motion_only, peers_may_move = (
-            only_motion_separates(cluster, group, at_s, line),
-            may_peers_have_moved(cluster, group, at_s),
-        )
+        motion_only = only_motion_separates(cluster, group, at_s, line)
+        peers_may_move = may_peers_have_moved(cluster, group, at_s)
         model = FleetModel(self.main.settings)
         model.replace_from(self.main, first)
         for vehicle, plane in planes.items():

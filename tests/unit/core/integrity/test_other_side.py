@@ -5,7 +5,7 @@ import math
 import pytest
 
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual
-from gcs_coloc.core.integrity.other_side import other_side_m
+from gcs_coloc.core.integrity.other_side import OpenSides, other_side_m
 
 FREE = {8: (30.0, 40.0, 0.0), 9: (60.0, 100.0, 0.0)}
 """Two without prior, 40 and 100 m from the line of anchors 1 and 2."""
@@ -45,5 +45,16 @@ def test_the_anchors_of_any_of_the_figure_hold_it():
     assert other_side_m(epoch(anchors, [(8, 1), (8, 9), (9, 1), (9, 2), (9, 3)]), 8) == 0.0
 
 
-def test_around_one_anchor_a_figure_turns_freely():
-    assert other_side_m(epoch({1: ANCHORS[1]}, [(8, 1), (9, 1), (9, 8)]), 9) == math.inf
+def test_around_one_anchor_a_figure_turns_freely_and_without_any_it_is_anywhere():
+    assert other_side_m(epoch({1: ANCHORS[1]}, [(8, 1), (9, 1), (9, 8)]), 9) == pytest.approx(2.0 * math.hypot(60.0, 100.0))
+    assert other_side_m(epoch({}, [(9, 8)]), 9) == 10_000.0
+
+
+def test_the_side_of_one_that_leaves_a_figure_stays_open_until_ranges_tell_it():
+    sides, third = OpenSides(), {**ANCHORS, 3: (100.0, 80.0, 0.0)}
+    alone = epoch(ANCHORS, [(8, 1), (8, 2)])
+    assert sides.other_side_m(alone, 8) == 0.0
+    sides.other_side_m(epoch(ANCHORS, all_pairs(ANCHORS)), 8)
+    assert sides.other_side_m(alone, 8) == pytest.approx(80.0)
+    assert sides.other_side_m(epoch(third, [(8, 1), (8, 2), (8, 3)]), 8) == 0.0
+    assert sides.other_side_m(alone, 8) == 0.0
