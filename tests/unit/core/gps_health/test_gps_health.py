@@ -113,7 +113,7 @@ def test_a_receiver_that_falls_silent_is_lost_where_the_vehicle_says_so_otherwis
 ):
     """Older PX4 sends no GPS_RAW_INT without a receiver; a poor link loses it while the receiver is sound."""
     health = healthy_until(5.0)
-    for i in range(1, 60):
+    for i in range(1, 100):
         t = 5.0 + i / 10
         if system is not None:
             health.add(SystemHealth(1, t, *system))
@@ -121,6 +121,56 @@ def test_a_receiver_that_falls_silent_is_lost_where_the_vehicle_says_so_otherwis
             health.add(EkfStatus(1, t, absolute, False, False))
         health.update(t)
     assert health.state is after
+
+
+def test_a_receiver_that_its_autopilot_vouches_for_is_heard_again_in_time():
+    """Radios of real copters lose GPS_RAW_INT for 3 to 9 s while SYS_STATUS comes now and then."""
+    health = healthy_until(5.0)
+    for i in range(1, 85):
+        if i % 20 == 0:
+            health.add(SystemHealth(1, 5.0 + i / 10, *HEALTHY_SYSTEM))
+        health.update(5.0 + i / 10)
+        assert health.state is GpsState.HEALTHY
+    aided = healthy_until(5.0)
+    aided.know(is_aided=True)
+    for i in range(1, 35):
+        aided.add(SystemHealth(1, 5.0 + i / 10, *HEALTHY_SYSTEM))
+        aided.update(5.0 + i / 10)
+    assert aided.state is GpsState.SUSPECT, "what an autopilot says that flies on our fix is an echo"
+
+
+@pytest.mark.parametrize(("fix_type", "after"), [(3, GpsState.HEALTHY), (1, GpsState.SUSPECT)])
+def test_a_receiver_of_which_only_silence_was_held_is_believed_with_its_next_good_report(fix_type, after):
+    health = healthy_until(5.0)
+    health.update(8.1)
+    assert health.state is GpsState.SUSPECT
+    health.add(receiver(9.0, fix_type=fix_type))
+    health.update(9.0)
+    assert health.state is after
+    health.add(receiver(9.2))
+    health.update(9.2)
+    assert health.state is after, "a flickering fix is watched, silence before it or not"
+
+
+def test_a_receiver_on_its_way_back_is_not_lost_by_a_gap_of_the_link_but_by_a_long_one():
+    health = healthy_until(5.0)
+    for i in range(100):
+        t = 5.0 + i / 5
+        health.add(receiver(t, fix_type=1 if t < 10.0 else 3))
+        health.update(t)
+        if health.state is GpsState.RECOVERING:
+            break
+    for i in range(1, 80):
+        health.update(t + i / 10)
+        assert health.state is GpsState.RECOVERING
+    for i in range(30):
+        health.add(receiver(t + 8.0 + i / 5))
+        health.update(t + 8.0 + i / 5)
+        assert health.state is GpsState.RECOVERING, "it is watched from the gap on"
+    for i in range(200):
+        health.update(t + 16.0 + i / 10)
+    assert health.state is GpsState.FAILED
+    assert "no GPS_RAW_INT" in health.reason
 
 
 def test_what_was_said_before_a_receiver_fell_silent_does_not_make_it_lost():
