@@ -115,7 +115,7 @@ class _Recursion:
         self._stations = {station.node: station for station in plan.stations}
         self._policies: dict[int, FixPolicy] = {}
         self._levels: dict[int, FaultLevel] = {}
-        self._open_sides = OpenSides()
+        self._open_sides = OpenSides(a.protection.max_acceleration_mps2)
         self._levels_due_s = -math.inf
         self._lost: frozenset[int] = frozenset()
         self._chosen: dict[int, frozenset[int]] = {}
@@ -142,6 +142,8 @@ class _Recursion:
                 self._filter.apply(attitude)
         heard = set(self._denied).union(*used.values())
         for sysid in here:
+            if sysid not in self._lost:
+                self._open_sides.note_side(sysid, at_s, here[sysid], velocities[sysid])
             if sysid not in self._lost and sysid in heard:
                 self._feed_report(sysid, here[sysid], velocities[sysid], at_s)
         for sysid in sorted(self._lost):
@@ -150,10 +152,12 @@ class _Recursion:
                 if node not in self._lost or node > sysid:
                     self._feed_range(sysid, node, here, at_s)
         answers = {v: self._filter.estimate(v, at_s) for v in sorted(self._lost)}
+        located = {v: where for v, where in answers.items() if isinstance(where, Estimate)}
         if at_s >= self._levels_due_s:
             self._levels_due_s = at_s + _LEVEL_EVERY_S
-            located = {v: where for v, where in answers.items() if isinstance(where, Estimate)}
-            self._update_levels(located, used, here, at_s)
+            self._update_levels(located, self._epoch(located, used, here, at_s))
+        if len(located) > 1:
+            self._update_other_sides(located, self._epoch(located, used, here, at_s))
         for sysid, answer in answers.items():
             self._keep(sysid, answer, ranged[sysid], here, at_s)
 
@@ -232,14 +236,13 @@ class _Recursion:
             record.gust_noise.log_level = record.manoeuvre_noise.log_level = 0.0
         return records
 
-    def _update_levels(
+    def _epoch(
         self,
         located: Mapping[int, Estimate],
         used: Mapping[int, Sequence[int]],
         here: Mapping[int, Vector3],
         at_s: float,
-    ) -> None:
-        """Adjust the ranges of the moment under all hypotheses of fault, as the integrity stage does."""
+    ) -> Epoch:
         a = self._a
         count = max(a.range_rate_hz * WINDOW_S, 1.0)
         noise_m = sqrt(a.range_sigma_m**2 * (_MEDIAN_VARIANCE_RATIO / count + COLOURED_SHARE))
@@ -255,13 +258,24 @@ class _Recursion:
                 priors[sysid] = PositionPrior(here[sysid], 0.0, sigma_v_m, no_prior=True)
                 priors.setdefault(node, self._prior(node, located, here))
                 residuals.append(RangeResidual(sysid, node, 0.0, noise_m, RANGE_BIAS_M))
-        epoch = Epoch(at_s, priors, tuple(residuals))
-        separation = SolutionSeparation(epoch) if residuals else None
+        return Epoch(at_s, priors, tuple(residuals))
+
+    def _update_levels(self, located: Mapping[int, Estimate], epoch: Epoch) -> None:
+        """Adjust the ranges of the moment under all hypotheses of fault, as the integrity stage does."""
+        if not epoch.residuals:
+            return
+        separation = SolutionSeparation(epoch)
         for sysid, where in located.items():
-            if separation is not None and sysid in separation.vehicles:
+            if sysid in separation.vehicles:
                 hypotheses = separation.expected_of(sysid, where.covariance[:2, :2])
-                level = fault_level(hypotheses, where, at_s, a.protection)
-                self._levels[sysid] = replace(level, other_side_m=self._open_sides.other_side_m(epoch, sysid))
+                self._levels[sysid] = fault_level(hypotheses, where, epoch.at_s, self._a.protection)
+
+    def _update_other_sides(self, located: Mapping[int, Estimate], epoch: Epoch) -> None:
+        """Follow on which side of their peers vehicles are that range each other, which takes every step."""
+        for sysid, where in located.items():
+            if sysid in epoch.priors and sysid in self._levels:
+                other_side_m = self._open_sides.other_side_m(epoch, sysid, where.velocity_enu_mps.tolist())
+                self._levels[sysid] = replace(self._levels[sysid], other_side_m=other_side_m)
 
     def _prior(self, node: int, located: Mapping[int, Estimate], here: Mapping[int, Vector3]) -> PositionPrior:
         if node in self._stations:

@@ -51,7 +51,7 @@ class IntegrityMonitor:
         self._protection = protection if protection is not None else ProtectionSettings()
         self._fault_levels: dict[int, FaultLevel] = {}
         self._untested_until_s: dict[int, float] = {}
-        self._open_sides = OpenSides()
+        self._open_sides = OpenSides(self._protection.max_acceleration_mps2)
         self._consistency = RangeConsistency()
         self._reacquisition = ReacquisitionMonitor()
 
@@ -69,6 +69,7 @@ class IntegrityMonitor:
         point = TrackPoint.of_report(position)
         if point is not None and not self.has_identified(position.vehicle):
             self._consistency.residuals.add_position(position.vehicle, point)
+            self._open_sides.note_side(position.vehicle, point.at_s, point.position_enu_m, point.velocity_enu_mps)
 
     def has_identified(self, node: int) -> bool:
         """Return whether the position of a vehicle or station is identified as faulty, and not readmitted yet."""
@@ -137,7 +138,6 @@ class IntegrityMonitor:
     def _update_fault_levels(self, vehicles: Sequence[ReviewedVehicle], now_s: float) -> None:
         epoch = self._consistency.epoch
         located = [(vehicle.sysid, vehicle.estimate) for vehicle in vehicles if vehicle.estimate is not None]
-        self._open_sides.forget(vehicle.sysid for vehicle in vehicles if vehicle.is_witness)
         separation = SolutionSeparation(epoch) if located and epoch.residuals else None
         levels: dict[int, FaultLevel] = {}
         also, unisolated = self._consistency.also, self._consistency.unisolated.ranges
@@ -148,7 +148,8 @@ class IntegrityMonitor:
             ranged_at_s = residuals.ranged_at_s(sysid)
             if separation is not None and ranged_at_s is not None and sysid in separation.vehicles:
                 level = fault_level(separation.of(sysid), where, ranged_at_s, self._protection, also, unisolated)
-                levels[sysid] = replace(level, other_side_m=self._open_sides.other_side_m(epoch, sysid))
+                other_side_m = self._open_sides.other_side_m(epoch, sysid, where.velocity_enu_mps.tolist())
+                levels[sysid] = replace(level, other_side_m=other_side_m)
             elif now_s < (until_s := self._untested_until_s.get(sysid, now_s)) and residuals.is_testable(sysid):
                 untested_until_s[sysid] = until_s
             else:

@@ -79,9 +79,9 @@ def test_the_papers_flight_gives_the_papers_hdop_curve_with_its_two_singular_ins
     assert predicted.has_fix.all()
 
 
-def square(sysid, east, north, size=400.0, **more):
+def square(sysid, east, north, size=400.0, speed_mps=20.0, **more):
     corners = [(east, north), (east + size, north), (east + size, north + size), (east, north + size)]
-    legs = tuple(Leg((*corner, 100.0), 20.0) for corner in (*corners[1:], *corners))
+    legs = tuple(Leg((*corner, 100.0), speed_mps) for corner in (*corners[1:], *corners))
     return PlannedVehicle(sysid, f"v{sysid}", (*corners[0], 100.0), legs, **more)
 
 
@@ -126,10 +126,16 @@ def test_more_noise_and_a_second_denied_vehicle_make_it_worse():
     assert with_another.denied == (1, 2)
 
 
-@pytest.mark.parametrize(("kind", "stations", "has_fix"), [("multirotor", 0, False), ("multirotor", 1, True), ("plane", 0, True)])
-def test_two_denied_copters_beside_two_peers_are_on_either_side_of_them(kind, stations, has_fix):
-    places = ((0, 0), (700, 0), (0, 700), (700, 700))
-    vehicles = tuple(square(k, *place, vehicle_class=VehicleClass(kind)) for k, place in enumerate(places, start=1))
+@pytest.mark.parametrize(
+    ("kind", "peers_north_m", "stations", "has_fix"),
+    [("multirotor", 700.0, 0, True), ("multirotor", 200.0, 0, False), ("multirotor", 200.0, 1, True), ("plane", 200.0, 0, True)],
+)
+def test_two_denied_copters_that_cross_the_line_of_two_peers_are_on_either_side_of_it(kind, peers_north_m, stations, has_fix):
+    """Those of 700 m never come to that line."""
+    vehicles = tuple(square(k, east, 0, speed_mps=10.0, vehicle_class=VehicleClass(kind)) for k, east in ((1, 0), (2, 700)))
+    for k, east in ((3, 0.0), (4, 700.0)):
+        slow = (Leg((east + 300.0, peers_north_m, 100.0), 1.0),)
+        vehicles += (PlannedVehicle(k, f"v{k}", (east, peers_north_m, 100.0), slow, vehicle_class=VehicleClass(kind)),)
     beside = (PlannedStation(1, (1500.0, 350.0, 10.0)),)[:stations]
     for predicted in predict(FleetPlan(FRAME, vehicles, beside), (1, 2)):
         assert (predicted.share_with_fix > 0.9) is has_fix
