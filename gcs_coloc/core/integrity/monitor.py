@@ -152,10 +152,12 @@ class IntegrityMonitor:
                 levels[sysid] = replace(level, other_side_m=other_side_m)
             elif now_s < (until_s := self._untested_until_s.get(sysid, now_s)) and residuals.is_testable(sysid):
                 untested_until_s[sysid] = until_s
-            else:
+            elif sysid in self._fault_levels or not self.has_identified(sysid):
                 # Until it has ranges, its last own position carries it; after them its last level does, which grows with time.
                 beginning = FaultLevel(0.0, horizontal_sigma_m(where.protected_covariance), now_s, ())
                 levels[sysid] = self._fault_levels.get(sysid, beginning)
+        # What it reported has carried it until now, and that is false.
+        untested_until_s |= {v: now_s + _TESTED_WITHIN_S for v in self._consistency.identified if v not in levels}
         self._fault_levels, self._untested_until_s = levels, untested_until_s
         if unisolated:
             self._consistency.unisolated.clear(_tested_ranges(epoch) if epoch.residuals else (), now_s)

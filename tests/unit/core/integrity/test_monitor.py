@@ -203,6 +203,32 @@ def test_what_ranges_alone_have_begun_is_not_stated_before_they_were_tested():
     assert last.protection.horizontal_m > 12.0
 
 
+def test_the_place_of_a_receiver_that_is_named_is_stated_when_ranges_have_tested_it():
+    """Real planes, one drawn off by 150 m: its first fix was 124 m off with a level of 22 m, by its own false reports alone."""
+    places_m = {1: (0.0, 0.0, 100.0), 2: (500.0, 20.0, 110.0), 3: (480.0, 520.0, 95.0), 4: (-30.0, 470.0, 105.0)}
+    places_m[5] = (200.0, 260.0, 100.0)
+    monitor, frame = IntegrityMonitor(), LocalFrame(47.0, 8.0, 500.0)
+    vehicles = {v: ReviewedVehicle(v, GpsState.HEALTHY, is_trusted=True, is_witness=True, is_automatic=True) for v in places_m}
+    covariance = np.diag([1.0, 1.0, 4.0, 0.3, 0.3, 0.3])
+    stated = []
+    for step in range(1, 60):
+        t = 0.2 * step
+        for v, (e, n, u) in places_m.items():
+            claimed = (e + 150.0, n, u) if v == 5 and t > 4.0 else (e, n, u)
+            monitor.add_position(PositionMeasurement(v, t, t, claimed, 1.5, 2.4, (0.0, 0.0, 0.0), 0.3))
+            for peer in range(v + 1, 6):
+                monitor.add_range(RangeMeasurement(v, peer, t - 0.01, t, dist(places_m[v], places_m[peer]), 0.5))
+        report = monitor.review(t + 0.05, list(vehicles.values()), frame)
+        if 5 in report.faults and report.faults[5].is_identified:
+            found = Estimate(5, t, np.array(places_m[5]) + 100.0, np.zeros(3), covariance, 1.2, 4)
+            stated.append(monitor.protect(report, found, Exposure(delay_is_known=True, shown_until_s=None)))
+            vehicles[5] = replace(vehicles[5], gps_state=GpsState.FAILED, is_trusted=False, is_witness=False, estimate=found)
+    assert isinstance(stated[0], NoEstimate)
+    assert stated[0].reason.reason is NoEstimateReason.UNTESTED
+    assert isinstance(stated[-1], Estimate)
+    assert all(each.protection.horizontal_m > 100.0 for each in stated if isinstance(each, Estimate))
+
+
 def test_where_it_is_open_which_pair_is_off_the_level_counts_each_of_them():
     """As in a recorded flight of two lost ArduPlanes whose ranges to each other are 25 m too long.
 
