@@ -43,8 +43,9 @@ class FleetSettings:
     """Names of version 0.1 and their new names."""
 
     window_s: float = between(1.0, 0.0, 60.0)
-    """s. A measurement may arrive so long after it was measured; a later one is refused. Longer costs memory and longer
-    replays. Chosen: telemetry radios at 57,600 baud delay by up to half a second."""
+    """s. A measurement may arrive so long after it was measured. A later one is refused; a position that is later by at most
+    3 s counts where its velocity has led when the window begins. Longer costs memory and longer replays. Chosen: telemetry
+    radios at 57,600 baud delay by up to half a second, and by more at times."""
     ahead_s: float = between(0.5, 0.0, 60.0)
     """s. A time stamp may be so far ahead of the arrival. Chosen: the error of a clock that is not yet synchronised."""
     acceleration_density_m2ps3: float = between(0.3, 1e-6, 1e3)

@@ -261,6 +261,24 @@ def test_impossible_late_future_and_double_values_are_counted_and_change_nothing
     assert counts["refused: measured in the future"] == 1
 
 
+def test_a_report_that_a_radio_held_back_counts_where_its_velocity_has_led():
+    """Radios of real copters held reports back for 0.6 to 3.3 s; refused, a peer drifted 39 m and others with it."""
+    estimator, velocity = FleetFilter(), (4.0, -3.0, 0.0)
+    for second in range(12):
+        place = (100.0 + 4.0 * second, 50.0 - 3.0 * second, 100.0)
+        delay_s = 2.4 if second > 5 else 0.2
+        estimator.add(PositionMeasurement(1, float(second), second + delay_s, place, 1.5, 2.0, velocity, 0.3))
+    where = estimator.estimate(1, 13.4)
+    assert math.dist(where.position_enu_m, (153.6, 9.8, 100.0)) < 0.5
+    assert estimator.counts().get(Outcome.REFUSED_TOO_LATE, 0) == 0
+    for m in (
+        PositionMeasurement(1, 12.0, 16.2, (148.0, 14.0, 100.0), 1.5, 2.0, velocity, 0.3),
+        PositionMeasurement(1, 14.0, 16.3, (156.0, 8.0, 100.0), 1.5, 2.0),
+    ):
+        estimator.add(m)
+    assert estimator.counts()[Outcome.REFUSED_TOO_LATE] == 2, "later than any radio's, and without a velocity"
+
+
 def test_a_vehicle_never_heard_of_is_unknown_with_the_reason():
     where = FleetFilter().estimate(7, 0.0)
     assert isinstance(where, NoEstimate)
