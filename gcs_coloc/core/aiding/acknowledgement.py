@@ -157,9 +157,10 @@ class FixAcknowledgement(Acknowledgement):
         self._heard = receiver
 
     def _fault_now(self, vehicle: ReportedState, now_s: float) -> str | None:
-        del vehicle
         heard, name = self._heard, f"GPS{self._gps_id + 1}"
         if heard is None or now_s - heard.received_at_s > _SILENCE_S:
+            if now_s - vehicle.last_heard_s > _SILENCE_S:
+                return None  # its link is silent, which says nothing of its receiver
             message = "GPS_RAW_INT" if self._gps_id == 0 else "GPS2_RAW"
             return StatedReason(FixFault.NOT_REPORTED, detail=message).text
         if self._fix is None:
@@ -175,5 +176,5 @@ class FixAcknowledgement(Acknowledgement):
         return None
 
     def _is_shown(self, vehicle: ReportedState, now_s: float) -> bool:
-        del vehicle, now_s
-        return self._fix is not None
+        del vehicle
+        return self._fix is not None and self._heard is not None and now_s - self._heard.received_at_s <= _SILENCE_S

@@ -61,7 +61,8 @@ class AidingSettings:
     ek3_gps_check: int = between(31, 0)
     """The vehicle's parameter EK3_GPS_CHECK (bit mask), until the vehicle has reported it. Source: ArduPilot's default."""
     ek3_check_scale: float = positive(150.0)
-    """The vehicle's parameter EK3_CHECK_SCALE, percent, until the vehicle has reported it. ArduPilot's default is 150."""
+    """The vehicle's parameter EK3_CHECK_SCALE, percent, until the vehicle has reported it. ArduPilot's default for
+    planes; it is 100 for copters, rovers and submarines."""
 
     def method_of(self, sysid: int) -> AidingMethodName:
         """Return the method that is set for a vehicle."""

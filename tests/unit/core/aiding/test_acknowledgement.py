@@ -16,8 +16,14 @@ FIX = replace(no_fix(4, 1), fix_type=3, lat_deg=47.0, lon_deg=179.9999, vn_mps=2
 VEHICLE = ReportedState(4, 0.0, 0.0)
 
 
-def run(acknowledgement: FixAcknowledgement, start_s: float, stop_s: float, sent, heard) -> list[tuple[float, str, str]]:
-    """Send ten times, hear and review five times a second; `heard` is a fix type with degrees north, or None for silence."""
+def run(
+    acknowledgement: FixAcknowledgement, start_s: float, stop_s: float, sent, heard, last_heard_s=None
+) -> list[tuple[float, str, str]]:
+    """Send ten times, hear and review five times a second.
+
+    `heard` is a fix type with degrees north, or None where it says nothing of that receiver. Of its link nothing is heard after
+    `last_heard_s`.
+    """
     changes = []
     for step in range(round(start_s * 10), round(stop_s * 10)):
         now_s = step / 10
@@ -27,7 +33,8 @@ def run(acknowledgement: FixAcknowledgement, start_s: float, stop_s: float, sent
                 fix_type, lat_deg = heard
                 lon_deg = sent.lon_deg if sent.fix_type == 3 else 0.0
                 acknowledgement.add_receiver(GpsReceiver(4, now_s, 1, fix_type, lat_deg, lon_deg, 0.0, 7, 1.0, 2.0, 3.0, 0.5))
-            told = acknowledgement.review(VEHICLE, now_s)
+            vehicle = replace(VEHICLE, last_heard_s=now_s if last_heard_s is None else last_heard_s)
+            told = acknowledgement.review(vehicle, now_s)
             if told is not None:
                 changes.append((now_s, *told))
     return changes
@@ -79,6 +86,16 @@ def test_the_fix_that_lingers_for_a_few_seconds_raises_nothing():
     run(acknowledgement, 0.0, 10.0, FIX, (3, 47.0))
     assert run(acknowledgement, 10.0, 14.0, no_fix(4, 1), (3, 47.0)) == []
     assert run(acknowledgement, 14.0, 30.0, no_fix(4, 1), (1, 47.0)) == []
+
+
+def test_a_silent_link_says_nothing_of_what_is_taken():
+    """A real copter was silent for 7 s: "not taken" came 0.2 s after its return, and "taken" 20 s later."""
+    acknowledgement = FixAcknowledgement(1, 0.0)
+    run(acknowledgement, 0.0, 10.0, FIX, (3, 47.0))
+    assert run(acknowledgement, 10.0, 25.0, FIX, None, last_heard_s=10.0) == []
+    assert acknowledgement.acknowledged is True
+    assert run(acknowledgement, 25.0, 29.0, FIX, None) == []
+    assert [told[1] for told in run(acknowledgement, 29.0, 35.0, FIX, None)] == ["error"]
 
 
 def test_that_both_say_there_is_no_fix_shows_nothing():
