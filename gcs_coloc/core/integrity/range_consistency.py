@@ -36,8 +36,9 @@ is in one of them only."""
 _DETECT_AFTER = 2  # the same before vehicles among which the fault is not isolated are detected
 _DECAY_TIME_S = 2.0  # solution separation decays over so long; chosen: as an estimate forgets what displaced it
 _ALERT_S = 30.0
-"""While a fault is identified or detected, and for so much longer, it decays over `_ALERT_DECAY_TIME_S`. Chosen: the correlation
-time of a fault-free position error."""
+"""While a fault is identified or detected, and for so much longer, it decays over `_ALERT_DECAY_TIME_S`, unless all that is
+detected is identified and the remaining ranges confirm the estimate. Chosen: the correlation time of a fault-free position
+error."""
 _ALERT_DECAY_TIME_S = 10.0  # chosen: what remains of a fault in the estimate is gone after two or three times as long
 _DETECTION_HOLD_S = 20.0
 """A detection by the fault monitor lasts for so long. Chosen: it does not come and go while a fault grows slowly."""
@@ -306,7 +307,9 @@ class RangeConsistency:
                 # The effect of the fault that remains in the estimate after the faulty vehicle is excluded.
                 offset_m = present.offset_m(vehicle)
                 new = new + np.outer(offset_m, offset_m)
-            decay = exp(-PERIOD_S / (_ALERT_DECAY_TIME_S if is_alert else _DECAY_TIME_S))
+            is_confirmed = present is not None and vehicle in present.separation_m2 and present.confirms(vehicle)
+            is_lasting = is_alert and (bool(self.detected) or not is_confirmed)
+            decay = exp(-PERIOD_S / (_ALERT_DECAY_TIME_S if is_lasting else _DECAY_TIME_S))
             old = found.decayed_m2
             found.decayed_m2 = old * decay if old is not None and _trace(old) * decay > _trace(new) else new
 
