@@ -142,7 +142,7 @@ class _Recursion:
                 self._filter.apply(attitude)
         heard = set(self._denied).union(*used.values())
         for sysid in here:
-            if sysid not in self._lost:
+            if sysid in self._denied and sysid not in self._lost:
                 self._open_sides.note_side(sysid, at_s, here[sysid], velocities[sysid])
             if sysid not in self._lost and sysid in heard:
                 self._feed_report(sysid, here[sysid], velocities[sysid], at_s)
@@ -153,11 +153,13 @@ class _Recursion:
                     self._feed_range(sysid, node, here, at_s)
         answers = {v: self._filter.estimate(v, at_s) for v in sorted(self._lost)}
         located = {v: where for v, where in answers.items() if isinstance(where, Estimate)}
-        if at_s >= self._levels_due_s:
-            self._levels_due_s = at_s + _LEVEL_EVERY_S
-            self._update_levels(located, self._epoch(located, used, here, at_s))
-        if len(located) > 1:
-            self._update_other_sides(located, self._epoch(located, used, here, at_s))
+        are_levels_due = at_s >= self._levels_due_s
+        if are_levels_due or len(self._denied) > 1:
+            epoch = self._epoch(located, used, here, at_s)
+            if are_levels_due:
+                self._levels_due_s = at_s + _LEVEL_EVERY_S
+                self._update_levels(located, epoch)
+            self._update_other_sides(located, epoch)
         for sysid, answer in answers.items():
             self._keep(sysid, answer, ranged[sysid], here, at_s)
 

@@ -26,15 +26,15 @@ _TOLD_WITHIN_M = 10.0  # a place whose side was told may be off by so much; chos
 
 @dataclass(frozen=True, slots=True)
 class _ToldPlace:
-    """Where a vehicle was, and how it moved, when the side of its peers was told last; (2,), m and m/s."""
+    """Where a vehicle was, and how it moved, when the side of its peers was told last."""
 
     at_s: float
-    place_m: FloatArray
-    velocity_mps: FloatArray
+    position_enu_m: Vector3
+    velocity_enu_mps: Vector3
 
     def course_m(self, at_s: float) -> FloatArray:
-        """Return where its course has led since."""
-        return self.place_m + (at_s - self.at_s) * self.velocity_mps
+        """Return where (2,) its course has led since."""
+        return np.array(self.position_enu_m[:2]) + (at_s - self.at_s) * np.array(self.velocity_enu_mps[:2])
 
     def off_course_m(self, at_s: float, max_acceleration_mps2: float) -> float:
         """Return how far off that course it may be."""
@@ -54,7 +54,7 @@ class OpenSides:
 
     def note_side(self, vehicle: int, at_s: float, position_enu_m: Vector3, velocity_enu_mps: Vector3) -> None:
         """Note where a vehicle is whose side is known, and how it moves."""
-        self._told[vehicle] = _ToldPlace(at_s, np.array(position_enu_m[:2]), np.array(velocity_enu_mps[:2]))
+        self._told[vehicle] = _ToldPlace(at_s, position_enu_m, velocity_enu_mps)
         self._open.discard(vehicle)
 
     def other_side_m(self, epoch: Epoch, vehicle: int, velocity_enu_mps: Vector3) -> float:
@@ -90,7 +90,7 @@ class OpenSides:
         if figure.line is None or told is None or not self._is_near(told, figure.places_m[figure.farthest], figure.at_s):
             return False
         centre_m, normal = figure.line
-        before_m = float((told.place_m - centre_m) @ normal)
+        before_m = float((told.course_m(told.at_s) - centre_m) @ normal)
         now_m = float((told.course_m(figure.at_s) - centre_m) @ normal)
         off_m = told.off_course_m(figure.at_s, self._max_acceleration_mps2)
         return before_m * now_m > 0.0 and min(abs(before_m), abs(now_m)) > off_m
