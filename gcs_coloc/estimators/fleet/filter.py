@@ -34,9 +34,9 @@ from gcs_coloc.estimators.fleet.out_of_sequence import Entry, Key, OosmBuffer
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 _RESIDUALS_KEPT = 4096
+"""Chosen: bounds the memory when nobody drains; some 30 s of a large fleet."""
 _LARGEST = 1e9
 """Chosen: in metres farther than the Moon; squares of what is below it keep their digits."""
-"""Chosen: bounds the memory when nobody drains; some 30 s of a large fleet."""
 _LATEST_S = 3.0  # chosen: radios of real copters held reports back for 0.6 to 3.3 s
 _ROUNDING_S = 0.001  # of times in s since 1970, so that what is carried on is within the window
 _LATE_ACCELERATION_MPS2 = 3.0  # 1-sigma per axis; chosen: a turn at 17 degrees of bank
@@ -60,6 +60,7 @@ class FleetFilter:
         self._refused: Counter[str] = Counter()
         self._residuals: deque[Residual] = deque(maxlen=_RESIDUALS_KEPT)
         self._now_s = -math.inf
+        self._carried_on_s: dict[int, float] = {}
         self._denied_changes = 0
         self._denied: frozenset[int] = frozenset()
 
@@ -83,6 +84,11 @@ class FleetFilter:
         """Add one measurement; what is not used is counted."""
         late_s = measurement.arrived_at_s - measurement.measured_at_s - self.settings.window_s
         if isinstance(measurement, PositionMeasurement) and 0.0 < late_s <= _LATEST_S:
+            # Heard again it would be carried on to another time.
+            if measurement.measured_at_s <= self._carried_on_s.get(measurement.vehicle, -math.inf):
+                self._refused[Outcome.REFUSED_DUPLICATE] += 1
+                return
+            self._carried_on_s[measurement.vehicle] = measurement.measured_at_s
             measurement = _carried_on(measurement, late_s + _ROUNDING_S)
         key = _key(measurement)
         if key is None:

@@ -274,8 +274,11 @@ def test_a_report_that_a_radio_held_back_counts_where_its_velocity_has_led():
     for m in (
         PositionMeasurement(1, 12.0, 16.2, (148.0, 14.0, 100.0), 1.5, 2.0, velocity, 0.3),
         PositionMeasurement(1, 14.0, 16.3, (156.0, 8.0, 100.0), 1.5, 2.0),
+        PositionMeasurement(1, 14.1, 16.4, (156.4, 7.7, 100.0), 1.5, 2.0, velocity, 0.3),
+        PositionMeasurement(1, 14.1, 16.6, (156.4, 7.7, 100.0), 1.5, 2.0, velocity, 0.3),
     ):
         estimator.add(m)
+    assert estimator.counts()[Outcome.REFUSED_DUPLICATE] == 1, "heard again by another link"
     assert estimator.counts()[Outcome.REFUSED_TOO_LATE] == 2, "later than any radio's, and without a velocity"
 
 
