@@ -28,7 +28,7 @@ body { font: 16px/1.45 system-ui, sans-serif; max-width: 60rem; margin: 2rem aut
 table { border-collapse: collapse }
 th, td { border-bottom: 1px solid var(--line); padding: .25rem .7rem; text-align: left }
 td:last-child:not(.n) { min-width: 13rem }
-td:not(.n) { overflow-wrap: anywhere }
+td:not(.n) { min-width: 6rem; overflow-wrap: anywhere }
 td.n, th.n { text-align: right; font-variant-numeric: tabular-nums }
 img { max-width: 100% }
 .bad { color: var(--bad); font-weight: 600 }
