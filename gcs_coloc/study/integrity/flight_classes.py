@@ -111,6 +111,8 @@ class FlightClass:
     """
     position_hz: float = 5.0
     """How often an autopilot reports its position."""
+    telemetry_s: Span = (0.0, 0.0)
+    """Period of all telemetry, one for the fleet, where its streams are slower than the service asks for."""
     height_drift_m: Span = (0.3, 1.0)
     """Slow error of each barometer over 200 s."""
     height_bias_m: Span = (0.0, 0.5)
@@ -216,6 +218,7 @@ _ALL = (
     _benign("convoy-no-air-data", "the same without attitude and airspeed", layout=Layout.CONVOY, extent_m=(100.0, 400.0),
             has_air_data=False),
     _benign("slow-ranges", "ranges every one to two seconds", range_hz=(0.5, 1.0)),
+    _benign("slow-telemetry", "all telemetry and ranges every one to two seconds", telemetry_s=(1.0, 2.0), range_hz=(0.5, 1.0)),
     _benign("coarse-ranges", "ranges of 5 to 20 m", range_sigma_m=(5.0, 20.0)),
     _benign("lost-ranges", "each pair's ranges are lost for 5 to 15 s at a time", range_gap_s=(5.0, 15.0)),
     _benign("silence", "all ranges cease for 5 to 20 s, in turns", silence_s=(5.0, 20.0), bank_deg=(35.0, 50.0)),
@@ -269,6 +272,10 @@ _ALL = (
     _fault("spoofed-step-denied-only", "the same, ranges from the denied vehicle only", spoofing=_STEP, is_mutual=False),
     _fault("spoofed-ramp", "one peer's receiver is drawn off at 0.2 to 5 m/s", spoofing=_RAMP),
     _fault("spoofed-ramp-denied-only", "the same, ranges from the denied vehicle only", spoofing=_RAMP, is_mutual=False),
+    _fault("slow-telemetry-step", "one peer's receiver steps by 30 to 300 m, all telemetry every one to two seconds",
+           spoofing=_STEP, telemetry_s=(1.0, 2.0), range_hz=(1.0, 2.0)),
+    _fault("slow-telemetry-ramp", "one peer's receiver is drawn off at 0.2 to 5 m/s, the same telemetry", spoofing=_RAMP,
+           telemetry_s=(1.0, 2.0), range_hz=(1.0, 2.0)),
     _fault("two-alike-step", "two receivers step alike", spoofing=replace(_STEP, receivers=2), peers=(4, 5)),
     _fault("two-alike-ramp", "two receivers are drawn off alike", spoofing=replace(_RAMP, receivers=2), peers=(4, 5)),
     _fault("two-unlike-step", "two receivers step, each its own way", spoofing=replace(_STEP, receivers=2, is_alike=False)),

@@ -227,6 +227,7 @@ class SimulatedFleet:
 
     def _push_first_events(self) -> None:
         rng, drawn = self._rng, self.drawn
+        slowest_s = rng.uniform(*drawn.telemetry_s) if any(drawn.telemetry_s) else 0.0
         self._push(self.duration_s + _STEP_BEYOND_S, lambda _: None)
         self._push(drawn.backlog_s, ClockReference(drawn.backlog_s, UNIX_EPOCH_S))
         for vehicle in self._vehicles.values():
@@ -243,7 +244,8 @@ class SimulatedFleet:
                 builders["time"] = vehicle.system_time_messages
             periods_s = _PERIODS_S | {"position": 1.0 / drawn.position_hz}
             for name, build in builders.items():
-                self._repeat(rng.uniform(0.0, periods_s[name]), periods_s[name], vehicle, build)
+                period_s = max(periods_s[name], slowest_s)
+                self._repeat(rng.uniform(0.0, period_s), period_s, vehicle, build)
         period_s = 1.0 / rng.uniform(*drawn.range_hz)
         for pair in self._pairs:
             reporter = self._vehicles[pair[0]]
