@@ -218,7 +218,7 @@ class RangeConsistency:
             persistence = self._persistence[interval_s]
             if result.is_consistent:
                 persistence.reset()
-            elif epoch.began_s >= persistence.sampled_until_s:
+            elif epoch.began_s > persistence.sampled_until_s:
                 persistence.sampled_until_s = epoch.ended_s
                 samples[interval_s] = isolate(epoch, pasts[interval_s], doubtful, pairs_fail=pairs_fail)
         if any(sample.is_of_one_pair for sample in samples.values()):

@@ -30,9 +30,8 @@ from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeas
 WINDOW_S = 1.0
 """A residual uses the ranges of so long, if these are `_ENOUGH_RANGES`. Chosen: five ranges at 5 Hz."""
 _LONGER_WINDOW_S = 1.4  # else those of so long, if `_MIN_RANGES`; chosen: five ranges at 5 Hz, of which one or two were lost
-_LONGEST_WINDOW_S = 3.0
-"""Else the newest `_ENOUGH_RANGES` of so long, if one of them is of the last 1.4 s. Chosen: three ranges at 1 Hz; a pair that has
-fallen silent delays no test of the others."""
+_LONG_WINDOW_S = 3.0  # else the newest `_ENOUGH_RANGES` of so long, if `_MIN_RANGES`; chosen: three ranges at 1 Hz
+_LONGEST_WINDOW_S = 6.0  # else the newest `_MIN_RANGES` of so long; chosen: three ranges at 0.5 Hz
 WAIT_S = 0.2
 """An epoch ends so long ago: positions need that time to arrive. Chosen: one period of reports at 5 Hz."""
 _ENOUGH_RANGES = 5  # chosen: the median of five bears two outliers
@@ -40,7 +39,17 @@ _MIN_RANGES = 3  # chosen: the median of three bears one outlier; with fewer the
 _MAX_POINTS = 64  # of a track: six seconds at 10 Hz
 _MAX_SAMPLES = 64  # of a pair
 _MAX_PENDING = 20_000  # chosen: bounds the memory of a flood
-_MAX_EXTRAPOLATION_S = 0.6  # chosen: a turn at 1 g is off by 2 m after it
+_MAX_INTERPOLATED_S = 3.0
+"""Between positions so far apart a track is interpolated. Chosen: a plane of 15 m/s in a turn at 1 g is 0.9 m off halfway."""
+_MAX_EXTRAPOLATED_S = 0.3
+"""A range so long after a position counts at once, a later one once the next position has come. Chosen: a turn at 1 g is off by
+0.4 m after it."""
+_MAX_WAIT_S = 3.0  # a range waits so long for it; chosen: the longest interval that is interpolated
+_MAX_SILENCE_S = 1.5
+"""So long after its last position a vehicle takes part. Chosen: positions every two seconds, 0.2 s late; the ranges before it
+are tested, so it need not be exact."""
+_PLACED_SOON_S = 0.6
+"""Ranges of a vehicle without a position wait so long for its first. Chosen: it bounds what forged ones cost."""
 _MAX_PEERS_PER_DEVICE = 8  # chosen: bounds the size of the adjustment; as many as the fleet filter uses
 _SELECTED_S = 5.0  # chosen: an estimator that changes its peers every two seconds has ranged those of the last choice since
 _MIN_DISTANCE_M = 1.0  # below it the direction of a range is noise
@@ -91,20 +100,52 @@ class _Track:
         if len(self._points) > _MAX_POINTS:
             del self._times_s[0], self._points[0]
 
-    def at(self, at_s: float) -> PositionPrior | None:
-        """Return the prior at a time, from the nearest point and its velocity; None where none is near enough."""
+    def at(self, at_s: float, max_extrapolated_s: float = _MAX_EXTRAPOLATED_S) -> PositionPrior | None:
+        """Return the prior at a time between two points or so long after the newest; None where none is near."""
         times_s = self._times_s
-        nearest = bisect_left(times_s, at_s)
-        if nearest and (nearest == len(times_s) or at_s - times_s[nearest - 1] <= times_s[nearest] - at_s):
+        later = bisect_left(times_s, at_s)
+        if 0 < later < len(times_s) and times_s[later] - times_s[later - 1] <= _MAX_INTERPOLATED_S:
+            return _interpolate(self._points[later - 1], self._points[later], at_s)
+        nearest = later
+        if later and (later == len(times_s) or at_s - times_s[later - 1] <= times_s[later] - at_s):
             nearest -= 1
         since_s = at_s - times_s[nearest]
-        if abs(since_s) > _MAX_EXTRAPOLATION_S:
+        if since_s > max_extrapolated_s or since_s < -_PLACED_SOON_S:
             return None
         _, (e, n, u), (ve, vn, vu), sigma_h_m, sigma_v_m, no_prior = self._points[nearest]
         return PositionPrior((e + ve * since_s, n + vn * since_s, u + vu * since_s), sigma_h_m, sigma_v_m, no_prior)
 
 
+def _interpolate(before: TrackPoint, after: TrackPoint, at_s: float) -> PositionPrior:
+    """Return the prior between two points of a track: the cubic with their positions and velocities."""
+    (e0, n0, u0), (ve0, vn0, vu0) = before.position_enu_m, before.velocity_enu_mps
+    (e1, n1, u1), (ve1, vn1, vu1) = after.position_enu_m, after.velocity_enu_mps
+    interval_s = after.at_s - before.at_s
+    s = (at_s - before.at_s) / interval_s
+    # Source: Hermite's basis polynomials.
+    b = s * s * (3.0 - 2.0 * s)
+    a, va, vb = 1.0 - b, interval_s * s * (1.0 - s) ** 2, interval_s * s * s * (s - 1.0)
+    nearer = before if s <= 0.5 else after
+    return PositionPrior(
+        (
+            a * e0 + b * e1 + va * ve0 + vb * ve1,
+            a * n0 + b * n1 + va * vn0 + vb * vn1,
+            a * u0 + b * u1 + va * vu0 + vb * vu1,
+        ),
+        nearer.sigma_h_m,
+        nearer.sigma_v_m,
+        nearer.no_prior,
+    )
+
+
 _Sample = tuple[float, float, float]  # of a range: its time (s), observed minus computed (m), its 1-sigma (m)
+
+
+def _is_silent(samples: list[_Sample], now_s: float) -> bool:
+    """Return whether a pair has no new ranges: it delays no test of the others."""
+    newest_s = samples[-1][0]
+    interval_s = newest_s - samples[-2][0] if len(samples) > 1 else 0.0
+    return now_s - WAIT_S - newest_s >= max(_LONGER_WINDOW_S, interval_s)
 
 
 @dataclass(slots=True)
@@ -161,8 +202,8 @@ class RangeResidualBuffer:
         Ranges to `detected` vehicles stay in it: the estimator selects them no more, and untested they would be trusted again.
         """
         self._compute_residuals(now_s)
-        fresh_s = now_s - WAIT_S - _LONGER_WINDOW_S
-        dense = {pair: samples for pair, samples in self._samples.items() if samples[-1][0] > fresh_s}
+        waiting = {(m.from_vehicle, m.to_vehicle) for m in self._pending}
+        dense = {pair: kept for pair, kept in self._samples.items() if pair in waiting or not _is_silent(kept, now_s)}
         self._selected_s = {pair: at_s for pair, at_s in self._selected_s.items() if now_s - at_s <= _SELECTED_S}
         self._detected = frozenset(detected)
         epoch = self._epoch(dense, now_s, _MIN_RANGES)
@@ -183,7 +224,7 @@ class RangeResidualBuffer:
         """
         middle_s = now_s - WAIT_S - 0.5 * WINDOW_S
         from_s = now_s - WAIT_S - WINDOW_S
-        tracked = {vehicle: self._tracks[vehicle].at(middle_s) for vehicle in {v for pair in ranges for v in pair}}
+        tracked = {v: self._tracks[v].at(middle_s, _MAX_SILENCE_S) for v in {v for pair in ranges for v in pair}}
         at_middle = {vehicle: prior for vehicle, prior in tracked.items() if prior is not None}
         usable: dict[Pair, list[_Sample]] = {}
         for (i, j), kept in ranges.items():
@@ -193,7 +234,9 @@ class RangeResidualBuffer:
             if len(samples) < _ENOUGH_RANGES:
                 samples = [sample for sample in kept if sample[0] > from_s + WINDOW_S - _LONGER_WINDOW_S]
             if len(samples) < _MIN_RANGES:
-                samples = kept[-_ENOUGH_RANGES:]
+                samples = [sample for sample in kept if sample[0] > from_s + WINDOW_S - _LONG_WINDOW_S][-_ENOUGH_RANGES:]
+            if len(samples) < _MIN_RANGES:
+                samples = kept[-_MIN_RANGES:]
             apart_m = dist(at_middle[i].position_enu_m, at_middle[j].position_enu_m)
             if len(samples) >= min_ranges and apart_m >= _MIN_DISTANCE_M:
                 usable[i, j] = samples
@@ -203,10 +246,12 @@ class RangeResidualBuffer:
             per_device[pair[0]] += 1
             if per_device[pair[0]] > _MAX_PEERS_PER_DEVICE:
                 del usable[pair]
-        pairs, ended_s = sorted(usable), now_s - WAIT_S
+        pairs = sorted(usable)
         priors = {vehicle: at_middle[vehicle] for pair in pairs for vehicle in pair}
         residuals = tuple(self._residual(*pair, usable[pair]) for pair in pairs)
-        return Epoch(middle_s, priors, residuals, min((usable[pair][0][0] for pair in pairs), default=ended_s), ended_s)
+        began_s = min((samples[0][0] for samples in usable.values()), default=now_s - WAIT_S)
+        ended_s = max((samples[-1][0] for samples in usable.values()), default=now_s - WAIT_S)
+        return Epoch(middle_s, priors, residuals, began_s, ended_s)
 
     def _residual(self, i: int, j: int, samples: list[_Sample]) -> RangeResidual:
         ordered = sorted([residual_m for _, residual_m, _ in samples])
@@ -227,11 +272,13 @@ class RangeResidualBuffer:
                 continue
             i, j = pair = m.from_vehicle, m.to_vehicle
             if i not in self._tracks or j not in self._tracks:
-                if at_s >= now_s - _MAX_EXTRAPOLATION_S:
+                if at_s >= now_s - _PLACED_SOON_S:
                     waiting.append(m)  # a vehicle that is placed soon is tested by them at once
                 continue
             a, b = self._tracks[i].at(at_s), self._tracks[j].at(at_s)
             if a is None or b is None:
+                if at_s > ready_s - _MAX_WAIT_S:
+                    waiting.append(m)
                 continue
             if self.fault_monitor is not None:
                 self.fault_monitor.add_range(m, a, b)

@@ -241,7 +241,7 @@ def test_once_the_faulty_one_is_named_ranges_that_confirm_an_estimate_end_its_in
         t = 0.2 * step
         for v in range(1, 7):
             e, n, u = places_m[v]
-            is_heard = t > 10.0 or step % 8 == v  # each in turn at first, so that few are ever known at one time
+            is_heard = t > 10.0 or step % 24 == v  # each in turn at first, so that few are ever known at one time
             if v != 6 and is_heard:
                 claimed = (e + 50.0, n, u) if v == 5 and t > 4.0 else (e, n, u)
                 monitor.add_position(PositionMeasurement(v, t, t, claimed, 1.5, 2.4, (0.0, 0.0, 0.0), 0.3))

@@ -35,9 +35,10 @@ def test_where_most_ranges_are_late_the_sigma_covers_the_error():
 
 
 def test_few_ranges_use_a_longer_window_and_too_few_make_no_residual():
-    # Every 0.9 s: two in the last second, four in the last three.
+    # Every 0.9 s: two in the last second, four in the last three; every 1.9 s: four in the last six.
     assert len(residuals_of([APART_M] * 6, every_s=0.9)) == 1
-    assert residuals_of([APART_M] * 6, every_s=1.6) == ()
+    assert len(residuals_of([APART_M] * 6, every_s=1.9)) == 1
+    assert residuals_of([APART_M] * 6, every_s=3.1) == ()
 
 
 def test_of_few_ranges_the_newest_five_count():
@@ -60,21 +61,44 @@ def test_ranges_that_have_stopped_soon_make_no_residual():
     assert residuals.epoch(3.5 + WAIT_S).residuals == ()
 
 
-def test_between_two_reports_a_position_is_extrapolated_from_the_nearer_one():
-    """One flies at 20 m/s by its first report and at 10 m/s by its second, a second later; the other one stands."""
+def test_between_two_reports_a_turn_is_followed_and_a_later_range_waits_for_the_next_one():
+    """One brakes by 5 m/s² from 20 m/s and tells it each second; the other one stands."""
     residuals = RangeResidualBuffer()
-    for t, east_m, ve_mps in ((0.0, 0.0, 20.0), (1.0, 20.0, 10.0)):
-        residuals.add_position(1, TrackPoint(t, (east_m, 0.0, 100.0), (ve_mps, 0.0, 0.0), 1.5, 2.0, no_prior=False))
+
+    def east_m(t):
+        return 20.0 * t - 2.5 * t * t
+
+    def report(t):
+        residuals.add_position(1, TrackPoint(t, (east_m(t), 0.0, 100.0), (20.0 - 5.0 * t, 0.0, 0.0), 1.5, 2.0, no_prior=False))
         residuals.add_position(2, TrackPoint(t, (-APART_M, 0.0, 100.0), (0.0, 0.0, 0.0), 1.5, 2.0, no_prior=False))
-    for t, east_m in ((0.3, 6.0), (0.5, 10.0), (0.7, 17.0), (1.2, 22.0), (1.59, 25.9)):
-        residuals.add_range(RangeMeasurement(1, 2, t, t, APART_M + east_m + 2.0, 1.0))
-    residuals.add_range(RangeMeasurement(1, 2, 1.61, 1.61, APART_M, 1.0))  # too long after the last report for a place
-    epoch = residuals.epoch(1.85)
-    assert epoch.priors[1].position_enu_m == pytest.approx((21.5, 0.0, 100.0))
+
+    report(0.0)
+    report(1.0)
+    for t in (0.2, 0.4, 0.6, 0.8, 1.0, 1.2, 1.4, 1.6):
+        residuals.add_range(RangeMeasurement(1, 2, t, t, APART_M + east_m(t) + 2.0, 1.0))
+    residuals.epoch(1.85)
+    assert residuals.ranged_at_s(1) == 1.2
+    report(2.0)
+    epoch = residuals.epoch(2.05)
+    assert residuals.ranged_at_s(1) == 1.6
+    assert epoch.priors[1].position_enu_m == pytest.approx((east_m(1.35), 0.0, 100.0))
     (residual,) = epoch.residuals
     assert residual.residual_m == pytest.approx(2.0, abs=1e-9)
-    # All five agree to the last bit, so the noise is what is stated.
-    assert residual.sigma_m == pytest.approx(np.sqrt(1.57 / 5 + 0.1), rel=1e-6)
+    # The residuals of 0.6 to 1.6 s agree but for the one that was extrapolated, by 0.1 m: the noise is what is stated.
+    assert residual.sigma_m == pytest.approx(np.sqrt(1.57 / 6 + 0.1), rel=1e-6)
+
+
+def test_a_vehicle_takes_part_for_a_while_after_its_last_report():
+    residuals = RangeResidualBuffer()
+    for step in range(30):
+        t = 0.2 * step
+        if t < 2.1:
+            residuals.add_position(1, TrackPoint(t, (0.0, 0.0, 100.0), (0.0, 0.0, 0.0), 1.5, 2.0, no_prior=False))
+        residuals.add_position(2, TrackPoint(t, (APART_M, 0.0, 100.0), (0.0, 0.0, 0.0), 1.5, 2.0, no_prior=False))
+        residuals.add_range(RangeMeasurement(1, 2, t, t, APART_M, 1.0))
+        took_part = len(residuals.epoch(t).residuals) == 1
+        # An epoch is 0.7 s ago, the last report was at 2.0 s; steps are of 0.2 s.
+        assert took_part is (t < 2.0 + 1.5 + 0.75) or t < 1.0
 
 
 def test_the_newest_and_the_oldest_range_are_so_by_their_time_and_not_by_their_arrival():
