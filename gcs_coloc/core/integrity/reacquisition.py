@@ -20,7 +20,9 @@ from gcs_coloc.core.integrity.report import IntegrityReport, ReacquisitionStatus
 from gcs_coloc.core.measurements import PositionMeasurement, RangeMeasurement
 from gcs_coloc.core.residual_log import CONSISTENT_MEDIAN_NIS
 
-_OLDEST_FIX_S = 1.0  # of a receiver at 1 Hz
+_OLDEST_FIX_S = 1.0  # chosen: of a receiver at 1 Hz; a turn at 1 g since an older one is off by more than receivers are
+_SILENCE_S = 3.0
+"""A receiver is remembered for so long after its last fix. Chosen: two fixes of a receiver at 1 Hz are late or lost."""
 _CONFIRM_S = 1.0  # chosen: a finding counts after five reviews in a row
 _EPOCHS_FILLED_AFTER_S = 3.0  # an epoch needs 1.6 s of ranges; chosen: twice that, for lost messages
 _RESET_EVERY_S = 10.0  # chosen: an estimator needs some seconds of ranges after a reset
@@ -123,6 +125,13 @@ class _Reacquisition:
         self.reset_at_s = now_s
         return True
 
+    def wait(self, since_s: float) -> None:
+        """Let no time pass where there is no fresh fix to test: silence is no agreement."""
+        self.disagreed_at_s += since_s
+        self.known_since_s += since_s
+        if self.changed_since_s is not None:
+            self.changed_since_s += since_s
+
     def status(self, now_s: float) -> ReacquisitionStatus:
         # Ranges to located vehicles may test one direction: those of witnesses that test both decide.
         is_held = self.by_located.is_open(now_s) and now_s - self.known_since_s < _AGREES_FOR_S
@@ -142,6 +151,7 @@ class ReacquisitionMonitor:
 
     def __init__(self) -> None:
         self._rejected_fixes = 0
+        self._reviewed_s = inf
         self._receivers: dict[int, _Reacquisition] = {}
         self._clear()
 
@@ -163,6 +173,7 @@ class ReacquisitionMonitor:
         self, now_s: float, vehicles: Sequence[ReviewedVehicle], identified: Mapping[int, PositionFault]
     ) -> IntegrityReport:
         """Test the fixes in question against ranges and inflated estimates; return what was found."""
+        since_s, self._reviewed_s = max(now_s - self._reviewed_s, 0.0), now_s
         back = {v.sysid: (v, fix) for v in vehicles if (fix := self._fix(v, now_s, identified)) is not None}
         if not back:
             if self._receivers:
@@ -188,6 +199,9 @@ class ReacquisitionMonitor:
         diverged = set()
         for sysid, (vehicle, fix) in back.items():
             receiver = self._receivers[sysid]
+            if now_s - fix.arrived_at_s > _OLDEST_FIX_S:
+                receiver.wait(since_s)
+                continue
             # A vehicle that has just become suspect is still where its doubtful position has put it.
             is_reference = vehicle.gps_state is not GpsState.SUSPECT and _is_reference(vehicle)
             estimate = vehicle.estimate if is_reference else None
@@ -223,7 +237,7 @@ class ReacquisitionMonitor:
         in_question = vehicle.is_returning or (state is GpsState.SUSPECT and not vehicle.is_witness)
         if fix is None or not vehicle.is_automatic or not (was_wrong or in_question):
             return None
-        return fix if now_s - fix.arrived_at_s <= _OLDEST_FIX_S else None
+        return fix if now_s - fix.arrived_at_s <= (_SILENCE_S if receiver is not None else _OLDEST_FIX_S) else None
 
     def _clear(self) -> None:
         self._residuals = RangeResidualBuffer()
