@@ -7,14 +7,15 @@ and an identified vehicle is readmitted only after its receiver has agreed with 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from math import dist
 
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.evidence import FaultReason, PositionFault
 from gcs_coloc.core.gps_health.gps_health import DISTRUSTED
-from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch
+from gcs_coloc.core.integrity.epoch_tests.epoch import MIN_SIGMA_M, Epoch
 from gcs_coloc.core.integrity.epoch_tests.pair_outliers import unordered
 from gcs_coloc.core.integrity.other_side import OpenSides
 from gcs_coloc.core.integrity.protection_level import (
@@ -24,6 +25,7 @@ from gcs_coloc.core.integrity.protection_level import (
     fault_level,
     is_tested,
     protection_level,
+    ranged_until_s,
 )
 from gcs_coloc.core.integrity.range_consistency import RangeConsistency
 from gcs_coloc.core.integrity.range_residuals import TrackPoint
@@ -145,8 +147,9 @@ class IntegrityMonitor:
         unlocated = [v for v in vehicles if v.estimate is None and v.gps_state in DISTRUSTED and not v.is_witness]
         untested_until_s = {v.sysid: now_s + _TESTED_WITHIN_S for v in unlocated if residuals.is_testable(v.sysid)}
         for sysid, where in located:
-            ranged_at_s = residuals.ranged_at_s(sysid)
-            if separation is not None and ranged_at_s is not None and sysid in separation.vehicles:
+            ranges = _newest_ranges(epoch, sysid, residuals.ranged_at_s(sysid))
+            if separation is not None and ranges and sysid in separation.vehicles:
+                ranged_at_s = ranged_until_s(ranges, now_s)
                 level = fault_level(separation.of(sysid), where, ranged_at_s, self._protection, also, unisolated)
                 other_side_m = self._open_sides.other_side_m(epoch, sysid, where.velocity_enu_mps.tolist())
                 levels[sysid] = replace(level, other_side_m=other_side_m)
@@ -180,6 +183,19 @@ class IntegrityMonitor:
             elif sysid in detected:
                 faults[sysid] = PositionFault(FaultReason.NOT_ISOLATED, others=tuple(sorted(detected - {sysid})))
         return faults
+
+
+def _newest_ranges(epoch: Epoch, vehicle: int, ranged_at_s: Mapping[int, float]) -> list[tuple[float, float, float]]:
+    """Return time, s, and horizontal unit vector (east, north) of the newest range to each neighbour."""
+    if vehicle not in epoch.priors:
+        return []
+    (e, n, u), ranges = epoch.priors[vehicle].position_enu_m, []
+    for other, at_s in ranged_at_s.items():
+        if other in epoch.priors:
+            other_e, other_n, other_u = epoch.priors[other].position_enu_m
+            distance_m = max(dist((e, n, u), (other_e, other_n, other_u)), MIN_SIGMA_M)
+            ranges.append((at_s, (e - other_e) / distance_m, (n - other_n) / distance_m))
+    return ranges
 
 
 def _tested_ranges(epoch: Epoch) -> set[tuple[int, ...]]:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from math import hypot, inf, log, sqrt
+from math import hypot, inf, log, pi, sqrt
 
 import numpy as np
 
@@ -29,6 +29,9 @@ _S_PER_H = 3600.0
 VERTICAL_RATIO = 1.6
 """Source: usual VDOP over HDOP of a receiver."""
 _NOMINAL_SHARE = 0.5  # of the integrity risk; chosen; the rest is for what may be wrong
+_ANGLES_RAD = np.linspace(0.0, pi, 24, endpoint=False)  # chosen: 7.5 degrees apart
+_DIRECTIONS = np.column_stack([np.cos(_ANGLES_RAD), np.sin(_ANGLES_RAD)])
+_LEAST_COSINE = 0.01  # chosen: 89 degrees; across it a range shows nothing
 _LEVEL_STEP_M = 0.001  # chosen: a level is at most this much too large
 
 
@@ -79,7 +82,8 @@ class FaultLevel:
     """The level of all hypotheses except the nominal one, by the ranges of one epoch.
 
     `level_m`: without the bias of unknown delays, m. `estimate_sigma_m`: the estimate's 1-sigma then, m; the level grows with it.
-    `ranged_at_s`: service time of the newest range. `untested`: the vehicles whose receiver the ranges cannot test.
+    `ranged_at_s`: service time until which ranges show its motion (`ranged_until_s`). `untested`: the vehicles whose receiver the
+    ranges cannot test.
     `other_side_m`: how far off it is on the other side of its peers (`other_side`), which counts unless its motion is shown, m.
     """
 
@@ -108,6 +112,19 @@ def radius_at_risk(probability: float) -> float:
     The sigma is that of its worst direction. Source: the Rayleigh distribution.
     """
     return sqrt(-2.0 * log(min(probability, 1.0)))
+
+
+def ranged_until_s(ranges: Sequence[tuple[float, float, float]], now_s: float) -> float:
+    """Return until when ranges show the motion of a vehicle in every direction, service time in s.
+
+    `ranges` are the times, s, and the horizontal unit vectors (east, north) of the newest range to each neighbour. A range of
+    an age t leaves a t^2 / 2 open along it, and that over the cosine of the angle in another direction. What is returned leaves
+    as much open as the range that shows most of it does in the direction that is shown worst.
+    """
+    lines = np.array(ranges)
+    shares = np.maximum(np.abs(_DIRECTIONS @ lines[:, 1:].T), _LEAST_COSINE)
+    ages_s2 = np.square(np.maximum(now_s - lines[:, 0], 0.0))
+    return now_s - sqrt(float((ages_s2 / shares).min(axis=1).max()))
 
 
 def is_tested(hypothesis: Separation) -> bool:

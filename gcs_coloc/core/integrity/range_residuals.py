@@ -11,7 +11,7 @@ from collections import Counter, deque
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from itertools import chain
-from math import dist, sqrt
+from math import dist, inf, sqrt
 from statistics import median
 from typing import NamedTuple
 
@@ -187,9 +187,14 @@ class RangeResidualBuffer:
         """Add that the estimator used or refused a range of a pair: it is to be tested before others."""
         self._selected_s[pair] = measured_at_s
 
-    def ranged_at_s(self, vehicle: int) -> float | None:
-        """Return the time of a vehicle's newest range whose residual was computed, s; None without one."""
-        return max((samples[-1][0] for pair, samples in self._samples.items() if vehicle in pair), default=None)
+    def ranged_at_s(self, vehicle: int) -> dict[int, float]:
+        """Return the time of the newest range whose residual was computed, s, by the other end."""
+        newest_s: dict[int, float] = {}
+        for (i, j), samples in self._samples.items():
+            if vehicle in (i, j):
+                other = j if vehicle == i else i
+                newest_s[other] = max(samples[-1][0], newest_s.get(other, -inf))
+        return newest_s
 
     def is_testable(self, vehicle: int) -> bool:
         """Return whether a vehicle has ranges of late whose other end has a position to test them with."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import exp, hypot, inf
+from math import exp, hypot, inf, sqrt
 
 import numpy as np
 import pytest
@@ -15,6 +15,7 @@ from gcs_coloc.core.integrity.protection_level import (
     fault_level,
     protection_level,
     radius_at_risk,
+    ranged_until_s,
 )
 from gcs_coloc.core.integrity.solution_separation import FaultClass, Separation
 from gcs_coloc.core.measurements import Estimate
@@ -115,6 +116,16 @@ def test_without_air_data_the_level_grows_by_what_the_vehicle_can_have_done():
     later = protection_level(estimate(12.0), found, blind, SETTINGS).horizontal_m
     assert later == pytest.approx(fresh + 0.5 * SETTINGS.max_acceleration_mps2 * 2.0**2)
     assert protection_level(estimate(19.0), found, blind, SETTINGS).horizontal_m > 154.0
+
+
+def test_ranges_show_the_motion_until_they_have_come_from_every_direction():
+    """A plane that turned was 48 m off at a level of 48 m: the newest range counted, and it was across the way it went."""
+    east, north, aslant = (9.0, 1.0, 0.0), (9.8, 0.0, 1.0), (9.8, 0.1, sqrt(0.99))
+    assert ranged_until_s([east, north], 10.0) == pytest.approx(9.0)
+    assert ranged_until_s([(9.8, 0.0, 1.0), (9.8, 1.0, 0.0)], 10.0) == pytest.approx(10.0 - 0.2 * 2.0**0.25)
+    # Two of nearly one direction: a displacement across both shows by its tenth part.
+    assert ranged_until_s([north, aslant], 10.0) == pytest.approx(10.0 - 0.2 / sqrt(0.1))
+    assert ranged_until_s([north], 10.0) == pytest.approx(10.0 - 0.2 / sqrt(0.01))
 
 
 def test_the_other_side_of_its_peers_is_in_the_level_unless_its_motion_is_shown():

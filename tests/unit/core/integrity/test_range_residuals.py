@@ -77,10 +77,10 @@ def test_between_two_reports_a_turn_is_followed_and_a_later_range_waits_for_the_
     for t in (0.2, 0.4, 0.6, 0.8, 1.0, 1.2, 1.4, 1.6):
         residuals.add_range(RangeMeasurement(1, 2, t, t, APART_M + east_m(t) + 2.0, 1.0))
     residuals.epoch(1.85)
-    assert residuals.ranged_at_s(1) == 1.2
+    assert residuals.ranged_at_s(1) == {2: 1.2}
     report(2.0)
     epoch = residuals.epoch(2.05)
-    assert residuals.ranged_at_s(1) == 1.6
+    assert residuals.ranged_at_s(1) == {2: 1.6}
     assert epoch.priors[1].position_enu_m == pytest.approx((east_m(1.35), 0.0, 100.0))
     (residual,) = epoch.residuals
     assert residual.residual_m == pytest.approx(2.0, abs=1e-9)
@@ -109,7 +109,7 @@ def test_the_newest_and_the_oldest_range_are_so_by_their_time_and_not_by_their_a
     for measured_s in (0.6, 1.0, 0.2, 0.4, 0.8):
         residuals.add_range(RangeMeasurement(1, 2, measured_s, 1.1, APART_M, 1.0))
     assert residuals.epoch(1.2).began_s == 0.2
-    assert residuals.ranged_at_s(1) == 1.0
+    assert residuals.ranged_at_s(1) == {2: 1.0}
 
 
 def test_of_many_peers_eight_count_and_those_that_did_before_go_on():
