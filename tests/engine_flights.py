@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from math import pi
+from dataclasses import replace
+from math import inf, pi
 
 import numpy as np
 
@@ -44,6 +45,7 @@ class StraightLine:
         self.unknown: str | None = None
         self.ranges_in_use = 3
         self.refuses_air_data = False
+        self.air_data_at_s = inf
 
     def set_denied(self, denied: Collection[int], at_s: float) -> None:
         self.denied.append((frozenset(denied), at_s))
@@ -61,7 +63,8 @@ class StraightLine:
         covariance = np.diag([self.sigma_m**2, 1.0, self.sigma_v_m**2, 0.25, 0.16, 0.04])
         place = np.array([20.0 * at_s, (vehicle - 1) * M_APART_NORTH, 30.0])
         velocity, refuses = np.array([20.0, 0.0, 1.0]), self.refuses_air_data
-        return Estimate(vehicle, at_s, place, velocity, covariance, 1.5, self.ranges_in_use, refuses_air_data=refuses)
+        found = Estimate(vehicle, at_s, place, velocity, covariance, 1.5, self.ranges_in_use, refuses_air_data=refuses)
+        return replace(found, air_data_at_s=self.air_data_at_s)
 
     def drain_residuals(self) -> list:
         return []

@@ -100,7 +100,7 @@ class FleetReview:
         vehicle, attitude_at_s = s.telemetry.get(where.vehicle), s.measurements.attitude_at_s(where.vehicle)
         has_air_data = vehicle is not None and vehicle.has_air_data(where.at_s) and not where.refuses_air_data
         if has_air_data and attitude_at_s is not None:
-            times_s.append(attitude_at_s)
+            times_s.append(min(attitude_at_s, where.air_data_at_s))
         reported = s.measurements.reported(where.vehicle)
         if reported is not None and self._is_trusted(where.vehicle):
             times_s.append(reported.measured_at_s)

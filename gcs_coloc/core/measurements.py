@@ -174,7 +174,8 @@ class Estimate:
     fewer than two. `ranges_in_use` counts the distinct vehicles whose ranges were used lately. `protection` is set by the
     integrity stage; None where an estimator is asked by itself. `far_covariance` (2, 2) m^2 holds horizontally for the protection
     level, five sigmas and more out, where the error is no Gaussian; None: `covariance` does. `refuses_air_data`: its airspeed
-    and heading contradict its motion, so that they do not show how it moves.
+    and heading contradict its motion, so that they do not show how it moves. `air_data_at_s`: the newest attitude in it, service
+    time in s; infinite where an estimator does not tell, or has none.
     """
 
     vehicle: int
@@ -187,6 +188,7 @@ class Estimate:
     protection: ProtectionLevel | None = None
     far_covariance: FloatArray | None = None
     refuses_air_data: bool = False
+    air_data_at_s: float = math.inf
 
     @property
     def protected_covariance(self) -> FloatArray:

@@ -97,4 +97,5 @@ class IntegrityReport:
             estimate.ranges_in_use,
             far_covariance=None if estimate.far_covariance is None else estimate.far_covariance + separation_m2,
             refuses_air_data=estimate.refuses_air_data,
+            air_data_at_s=estimate.air_data_at_s,
         )

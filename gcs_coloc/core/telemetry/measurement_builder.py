@@ -23,7 +23,7 @@ from gcs_coloc.core.telemetry.position_builder import PositionJumps, receiver_po
 from gcs_coloc.core.telemetry.range_builder import BuiltRange, RangeMemory, build_range
 from gcs_coloc.core.telemetry.reported_state import ReportedState, true_airspeed_mps
 
-_AIRSPEED_FRESH_S = 1.0  # chosen: five periods of VFR_HUD at the requested rate
+_AIRSPEED_FRESH_S = 2.2  # chosen: VFR_HUD every second with one lost; airspeed changes slowly
 
 
 class BuiltPosition(NamedTuple):

@@ -281,7 +281,8 @@ class FleetHypotheses:
         if any(place.far_covariance is not None for place in places):
             far = mixture([each[:2] for each in means], [place.protected_covariance for place in places], log_odds)[1]
         refuses = any(place.refuses_air_data for place in places)
-        return Estimate(vehicle, at_s, mean[:3], mean[3:], covariance, where.hdop, where.ranges_in_use, None, far, refuses)
+        air_s, hdop, ranges = min(place.air_data_at_s for place in places), where.hdop, where.ranges_in_use
+        return Estimate(vehicle, at_s, mean[:3], mean[3:], covariance, hdop, ranges, None, far, refuses, air_s)
 
 
 def _are_apart(a: Estimate, b: Estimate) -> bool:

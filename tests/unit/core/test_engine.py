@@ -185,6 +185,20 @@ def test_refused_air_data_are_told_once_and_do_not_bound_what_a_vehicle_without_
     assert again == ["its airspeed and heading agree with its way over ground again: used"]
 
 
+def test_an_attitude_that_the_estimator_has_not_used_shows_no_motion():
+    """Of a real plane the attitude in a turn was refused: it was 51 m off at a protection level of 39 m."""
+    estimator = StraightLine()
+    engine = Engine(estimator, settings())
+    fly(engine, 0.0, 5.0)
+    fly(engine, 5.0, 10.0, failed=[4])
+    used = engine.estimate(4, 10.0)
+    estimator.air_data_at_s = 8.0
+    older = engine.estimate(4, 10.0)
+    assert isinstance(used, Estimate)
+    assert isinstance(older, Estimate)
+    assert older.protection.horizontal_m - used.protection.horizontal_m > 15.0
+
+
 @pytest.mark.parametrize(
     ("blocking", "words"),
     [

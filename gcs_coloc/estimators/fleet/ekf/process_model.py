@@ -1,4 +1,4 @@
-"""The process model of one vehicle: F and Q of a step, eq. (2) to (9) and (42) of docs/explanation.
+"""The process model of one vehicle: F and Q of a step, eq. (2) to (9), (42), (46) of docs/explanation.
 
 Steady flight is constant velocity disturbed by white acceleration (Bar-Shalom, Li, Kirubarajan 2001, section 6.2.2). With a
 fresh bank angle the velocity through the air turns at the rate of a coordinated turn and the wind carries the vehicle along;
@@ -26,10 +26,14 @@ STEEPEST_BANK_RAD = 1.2
 """Chosen: 69 degrees, 2.8 g in a coordinated turn; a steeper bank is taken for aerobatics, where eq. (2) does not hold."""
 GAP_S = 1.5
 """Chosen: after a gap of this length between ranges a manoeuvre may have passed unobserved; one range may be lost at 1 Hz."""
+ATTITUDE_HELD_S = 2.5
+"""An attitude that is no longer fresh is held for so long, but shows no turn. Chosen: it comes every two seconds, some late."""
 _COAST_TIME_S = 2.0  # chosen: without an update for longer the process noise is inflated; shorter gaps are usual on a radio link
 _COAST_GAIN = 5.0  # chosen: the most by which a gap inflates; more makes a vehicle out of range needlessly uncertain
 _NOTICED_SIGMA_M = 10.0  # chosen: a denied vehicle known worse than this shows a manoeuvre late, so its process noise is inflated
 _UNNOTICED_GAIN = 20.0  # chosen: the most by which a large position variance inflates
+_NOTICED_INTERVAL_S, _MOST_LATE = 0.2, 10.0
+"""Chosen: the white acceleration of the settings is for ranges at 5 Hz; ranges every two seconds show where a vehicle was."""
 _TURN_SHOWN_SIGMA_M = 1.0  # chosen: a position known better than this along some direction shows a turn within a second
 _TURN_GAIN = 6.0  # chosen: the most by which the turn rate's sigma is inflated: 6 * 0.03 rad/s is 10 degrees a second
 _MANOEUVRE_S = 1.0
@@ -98,7 +102,8 @@ def set_transition(
     gain, gain_v = record.manoeuvre.gains()
     # The turn rate decays within the step: the heading changes by omega times this.
     lasting_s = math.copysign(s.turn_time_s * -math.expm1(-length / s.turn_time_s), step_s)
-    attitude, measured = fresh_attitude(record, s, at_s), False
+    attitude, measured = held_attitude(record, s, at_s), False
+    is_fresh = attitude is not None and at_s - attitude.measured_at_s <= s.attitude_fresh_s
     airspeed_mps, across_mps2, uneven, gusts = None, 0.0, 0.0, 0.0
     level = record.gust_noise.level
     if attitude is not None:
@@ -108,13 +113,12 @@ def set_transition(
         uneven = 2.0 * _UNEVEN_TURN_TIME_S * (s.turn_error_share * across_mps2) ** 2
         gusts = level * s.coordinated_turn_density_m2ps3
         climb += uneven
-    if airspeed_mps is not None:
-        turn = across_mps2 / airspeed_mps
+    turn = across_mps2 / airspeed_mps if airspeed_mps is not None else x[TURN] * lasting_s / step_s
+    if is_fresh and airspeed_mps is not None:
         density = gusts
     else:
-        turn = x[TURN] * lasting_s / step_s
         level = min(record.manoeuvre_noise.level, _most_level(record, P))
-        density = max(level * density, gusts)
+        density = max(level * density * _late_notice(record), gusts)
         if measured := has_fresh_odometry(record, s, at_s):
             # What is left to chance is slip: odometry measures the turn, and the speed ten times as fast as it changes.
             density = min(density, _SLIP_DENSITY_M2PS3)
@@ -195,6 +199,13 @@ def shown_acceleration_mps2(record: VehicleRecord, s: FleetSettings) -> float:
     return BOUND_95_SIGMAS * math.sqrt(record.manoeuvre_noise.level * s.low_speed_density_m2ps3 / (2.0 * _MANOEUVRE_S))
 
 
+def held_attitude(record: VehicleRecord, s: FleetSettings, at_s: float) -> AttitudeMeasurement | None:
+    """Return the newest attitude, fresh or held: a turn mostly lasts longer; None where it is older."""
+    attitude = record.attitude
+    held_s = max(s.attitude_fresh_s, ATTITUDE_HELD_S) if s.attitude_fresh_s > 0.0 else 0.0
+    return attitude if attitude is not None and at_s - attitude.measured_at_s <= held_s else None
+
+
 def fresh_attitude(record: VehicleRecord, s: FleetSettings, at_s: float) -> AttitudeMeasurement | None:
     """Return the newest attitude, which shows turns; None where it is older than `attitude_fresh_s`."""
     attitude = record.attitude
@@ -215,6 +226,18 @@ def has_fresh_odometry(record: VehicleRecord, s: FleetSettings, at_s: float) -> 
 def shows_its_motion(record: VehicleRecord, s: FleetSettings, at_s: float) -> bool:
     """Whether a vehicle's attitude with airspeed, or its odometry, is fresh and shows its turns."""
     return fresh_air_data(record, s, at_s) is not None or has_fresh_odometry(record, s, at_s)
+
+
+def _late_notice(record: VehicleRecord) -> float:
+    """Return the factor of the white acceleration where ranges come slowly, eq. (46).
+
+    A manoeuvre is noticed by the ranges to two neighbours: the later, the longer their intervals. The learned level of manoeuvres
+    that recur has it in it.
+    """
+    if not record.denied_vehicle or record.profile.is_recurring or not record.neighbours:
+        return 1.0
+    intervals_s = sorted([neighbour.interval_s for neighbour in record.neighbours.values()])[:2]
+    return min(max(intervals_s[-1] / _NOTICED_INTERVAL_S, 1.0), _MOST_LATE)
 
 
 def _most_level(record: VehicleRecord, P: FloatArray) -> float:

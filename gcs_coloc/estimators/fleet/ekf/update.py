@@ -23,7 +23,8 @@ from gcs_coloc.estimators.fleet.ekf.air_data import Place
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.measurement_models import air_velocity, altitude, odometry, position_report, slant_range
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome, UpdateResult
-from gcs_coloc.estimators.fleet.ekf.process_model import usable_airspeed_mps
+from gcs_coloc.estimators.fleet.ekf.possible_motion import CORRELATION
+from gcs_coloc.estimators.fleet.ekf.process_model import ATTITUDE_HELD_S, usable_airspeed_mps
 from gcs_coloc.estimators.fleet.ekf.records import OwnMeasurement, VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import BARO_ERROR, REPORT_ERROR, TIME_STAMP_OFFSET, JointState, Key, UnknownKey, whiten
 from gcs_coloc.estimators.fleet.settings import FleetSettings
@@ -36,6 +37,8 @@ _MISSED_CLIMB_S = 1.2
 _CLIMB_ERROR_MPS = 15.0  # chosen: the climb of an agile copter that was sinking a moment ago; a height that departs faster jumps
 _BARO = slice(BARO_ERROR, BARO_ERROR + 1)
 _UP_AND_CLIMB = np.ix_((2, 5), (2, 5))
+_PLACE_AND_MOTION = np.ix_((0, 1, 3, 4), (0, 1, 3, 4))
+_PLACE_BY_MOTION = ([0, 1, 3, 4], [3, 4, 0, 1])
 _OFFSET = slice(TIME_STAMP_OFFSET, TIME_STAMP_OFFSET + 1)
 
 NOTHING_CONSIDERED: Mapping[Key, float] = MappingProxyType({})
@@ -135,8 +138,10 @@ def update_altitude(cluster: Cluster, m: AltitudeMeasurement, white_m: float, co
 def update_air_velocity(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResult:
     """Turn with the bank angle from now on, and correct with airspeed and heading, eq. (13).
 
-    They are refused outside the gate, and as long as those of a denied vehicle contradict its way over ground: then the bank
-    angle alone is used, eq. (44).
+    Outside the gate, where they came too late to show a turn, they are tried again with a hard manoeuvre since the last ones,
+    eq. (20).
+    They are refused then, and as long as those of a denied vehicle contradict its way over ground: then the bank angle alone is
+    used, eq. (44).
     """
     s, record, joint = cluster.settings, cluster.records[m.vehicle], cluster.joint
     airspeed_mps = usable_airspeed_mps(m)
@@ -151,10 +156,20 @@ def update_air_velocity(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResul
     if record.denied_vehicle and _contradicts_its_way(cluster, m, airspeed_mps):
         record.attitude = replace(m, airspeed_mps=None)
         return UpdateResult(Outcome.REFUSED_AIR_DATA)
-    linear = air_velocity(joint, m, airspeed_mps, since_s, s, record.gust_noise.level)
+    limit, level = s.gate_sigma**2, record.gust_noise.level
+    linear = air_velocity(joint, m, airspeed_mps, since_s, s, level)
     whitened = whiten(linear.HA, linear.innovation_covariance(linear.R))
     nis = whitened.nis
-    if nis > s.gate_sigma**2:
+    if nis > limit and s.attitude_fresh_s < since_s <= ATTITUDE_HELD_S:
+        missed = np.zeros((6, 6))
+        missed[_PLACE_AND_MOTION] = _manoeuvre_covariance(since_s)[_PLACE_AND_MOTION]
+        missed[_PLACE_BY_MOTION] *= CORRELATION
+        joint.covariance(m.vehicle)[:6, :6] += missed
+        linear = air_velocity(joint, m, airspeed_mps, since_s, s, level)
+        whitened = whiten(linear.HA, linear.innovation_covariance(linear.R))
+        if whitened.nis > limit:
+            joint.covariance(m.vehicle)[:6, :6] -= missed
+    if whitened.nis > limit:
         return UpdateResult(Outcome.REFUSED_AIR_GATE, 0.0, 0.0, nis, 2)
     record.attitude = m
     joint.correct(whitened.W)
