@@ -118,7 +118,7 @@ def set_transition(
         density = gusts
     else:
         level = min(record.manoeuvre_noise.level, _most_level(record, P))
-        density = max(level * density * _late_notice(record), gusts)
+        density = max(_late_level(level, record) * density, gusts)
         if measured := has_fresh_odometry(record, s, at_s):
             # What is left to chance is slip: odometry measures the turn, and the speed ten times as fast as it changes.
             density = min(density, _SLIP_DENSITY_M2PS3)
@@ -228,16 +228,18 @@ def shows_its_motion(record: VehicleRecord, s: FleetSettings, at_s: float) -> bo
     return fresh_air_data(record, s, at_s) is not None or has_fresh_odometry(record, s, at_s)
 
 
-def _late_notice(record: VehicleRecord) -> float:
-    """Return the factor of the white acceleration where ranges come slowly, eq. (46).
+def _late_level(level: float, record: VehicleRecord) -> float:
+    """Return a level of white acceleration as it is where ranges come slowly, eq. (46).
 
-    A manoeuvre is noticed by the ranges to two neighbours: the later, the longer their intervals. The learned level of manoeuvres
-    that recur has it in it.
+    A manoeuvre is noticed by the ranges to two neighbours: the later, the longer their intervals. A plane's level is multiplied
+    by that. The level of manoeuvres that recur has it in it, but one that hovered may leave at once.
     """
-    if not record.denied_vehicle or record.profile.is_recurring or not record.neighbours:
-        return 1.0
+    profile = record.profile
+    if not record.denied_vehicle or not record.neighbours or (profile.is_recurring and not profile.leaves_at_once):
+        return level
     intervals_s = sorted([neighbour.interval_s for neighbour in record.neighbours.values()])[:2]
-    return min(max(intervals_s[-1] / _NOTICED_INTERVAL_S, 1.0), _MOST_LATE)
+    late = min(max(intervals_s[-1] / _NOTICED_INTERVAL_S, 1.0), _MOST_LATE)
+    return max(level, late - 1.0) if profile.is_recurring else level * late
 
 
 def _most_level(record: VehicleRecord, P: FloatArray) -> float:
