@@ -27,7 +27,7 @@ from gcs_coloc.core.residual_log import RangeJumps, ResidualLog
 from gcs_coloc.core.station_review import StationReview
 from gcs_coloc.core.stations.node_id import is_station
 from gcs_coloc.core.telemetry.proven_vehicles import STEADY_S
-from gcs_coloc.core.telemetry.reported_state import ReportedState
+from gcs_coloc.core.telemetry.reported_state import AIR_DATA_FRESH_S, ReportedState
 
 _AIR_DATA_REFUSED = "its airspeed and heading contradict its way over ground: not used; is its pitot tube clear?"
 _AIR_DATA_USED = "its airspeed and heading agree with its way over ground again: used"
@@ -94,13 +94,16 @@ class FleetReview:
     def _shown_until_s(self, where: Estimate) -> float | None:
         """Return until when it is shown how a vehicle has moved, s; None where nothing shows it.
 
-        Attitude with airspeed shows it, and so do the reported positions of a trusted vehicle. The time is service time.
+        Attitude with airspeed that the estimator has used shows it, and so do the reported positions of a trusted vehicle. The
+        time is service time.
         """
         s, times_s = self._stages, []
         vehicle, attitude_at_s = s.telemetry.get(where.vehicle), s.measurements.attitude_at_s(where.vehicle)
         has_air_data = vehicle is not None and vehicle.has_air_data(where.at_s) and not where.refuses_air_data
         if has_air_data and attitude_at_s is not None:
-            times_s.append(min(attitude_at_s, where.air_data_at_s))
+            used_at_s = min(attitude_at_s, where.air_data_at_s)
+            if where.at_s - used_at_s <= AIR_DATA_FRESH_S:
+                times_s.append(used_at_s)
         reported = s.measurements.reported(where.vehicle)
         if reported is not None and self._is_trusted(where.vehicle):
             times_s.append(reported.measured_at_s)

@@ -175,7 +175,7 @@ class Estimate:
     integrity stage; None where an estimator is asked by itself. `far_covariance` (2, 2) m^2 holds horizontally for the protection
     level, five sigmas and more out, where the error is no Gaussian; None: `covariance` does. `refuses_air_data`: its airspeed
     and heading contradict its motion, so that they do not show how it moves. `air_data_at_s`: the newest attitude in it, service
-    time in s; infinite where an estimator does not tell, or has none.
+    time in s; -inf: it has none, inf: the estimator does not tell.
     """
 
     vehicle: int

@@ -44,7 +44,7 @@ _STREAMS = {
     ReceiverIntegrity: Stream.RECEIVER_INTEGRITY,
 }
 _EKF_FRESH_S = 3.0  # chosen: six periods of EKF_STATUS_REPORT at the requested rate
-_AIR_DATA_FRESH_S = 2.0  # chosen: ten periods of VFR_HUD at the requested rate
+AIR_DATA_FRESH_S = 2.0  # chosen: ten periods of VFR_HUD at the requested rate
 _CHANGES_A_RUN = 20
 """Chosen: where a run of repeats is more frequent than one in so many changes it shows nothing, as of a bridge that tells each
 attitude twice. Of 51,000 attitudes of ArduPlane, ArduCopter and PX4 at 10 Hz none repeated."""
@@ -126,7 +126,7 @@ class ReportedState:
         air, attitude = self.airspeed, self.attitude
         if not self.winged or air is None or attitude is None or air.airspeed_mps < LEAST_AIRSPEED_MPS:
             return False
-        return now_s - min(air.received_at_s, attitude.received_at_s) <= _AIR_DATA_FRESH_S
+        return now_s - min(air.received_at_s, attitude.received_at_s) <= AIR_DATA_FRESH_S
 
 
 class Telemetry:

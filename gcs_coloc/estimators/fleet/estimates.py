@@ -65,7 +65,7 @@ def estimate_of_cluster(cluster: Cluster, vehicle: int, at_s: float) -> Estimate
     units = list(cluster.peers_in_use(vehicle, at_s).values())
     hdop = horizontal_dilution_of(units) if len(units) >= 2 else None
     refuses_air_data = record.air_check.is_refused
-    air_s = record.attitude.measured_at_s if record.attitude is not None else math.inf
+    air_s = record.attitude.measured_at_s if record.attitude is not None else -math.inf
     velocity = x[VELOCITY].copy()
     where = Estimate(vehicle, at_s, position, velocity, covariance, hdop, len(units), None, far, refuses_air_data, air_s)
     return _if_known_well(where, cluster.settings)

@@ -43,14 +43,6 @@ def test_the_same_message_by_a_second_link_is_no_repeat():
     assert not any(repeats.add(attitude) for attitude in attitudes(100) for _ in range(2))
 
 
-def test_an_airspeed_of_two_seconds_ago_counts_and_an_older_one_does_not():
-    """On a radio of 1 Hz one of thirteen attitudes of a real plane came without an airspeed, and its bank was not used either."""
-    feed, record = Builder(), vehicle()
-    record.winged, record.airspeed = True, Airspeed(4, 4.5, 22.0)
-    airspeeds = [feed.measure_attitude(at(at_s, (0.1, 0.0, at_s)), record).airspeed_mps for at_s in (6.6, 6.8)]
-    assert airspeeds == [22.0, None]
-
-
 def test_what_only_repeats_is_counted_shows_no_motion_and_is_as_old_as_its_first():
     feed, record = Builder(), vehicle()
     record.winged, record.airspeed = True, Airspeed(4, 4.5, 22.0)
