@@ -103,7 +103,7 @@ def set_transition(
     # The turn rate decays within the step: the heading changes by omega times this.
     lasting_s = math.copysign(s.turn_time_s * -math.expm1(-length / s.turn_time_s), step_s)
     attitude, measured = held_attitude(record, s, at_s), False
-    is_fresh = attitude is not None and at_s - attitude.measured_at_s <= s.attitude_fresh_s
+    is_fresh = fresh_attitude(record, s, at_s) is not None
     airspeed_mps, across_mps2, uneven, gusts = None, 0.0, 0.0, 0.0
     level = record.gust_noise.level
     if attitude is not None:
@@ -200,8 +200,13 @@ def shown_acceleration_mps2(record: VehicleRecord, s: FleetSettings) -> float:
 
 
 def held_attitude(record: VehicleRecord, s: FleetSettings, at_s: float) -> AttitudeMeasurement | None:
-    """Return the newest attitude, fresh or held: a turn mostly lasts longer; None where it is older."""
+    """Return the newest attitude, fresh or held: a turn mostly lasts longer; None where it is older.
+
+    Without an airspeed it is not held: nothing turns the heading that a bank accelerates across, eq. (44).
+    """
     attitude = record.attitude
+    if attitude is not None and attitude.airspeed_mps is None:
+        return fresh_attitude(record, s, at_s)
     held_s = max(s.attitude_fresh_s, ATTITUDE_HELD_S) if s.attitude_fresh_s > 0.0 else 0.0
     return attitude if attitude is not None and at_s - attitude.measured_at_s <= held_s else None
 

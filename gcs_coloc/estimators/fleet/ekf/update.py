@@ -139,9 +139,8 @@ def update_air_velocity(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResul
     """Turn with the bank angle from now on, and correct with airspeed and heading, eq. (13).
 
     Outside the gate, where they came too late to show a turn, they are tried again with a hard manoeuvre since the last ones,
-    eq. (20).
-    They are refused then, and as long as those of a denied vehicle contradict its way over ground: then the bank angle alone is
-    used, eq. (44).
+    eq. (20); outside it again they are refused. As long as those of a denied vehicle contradict its way over ground the bank
+    angle alone is used, eq. (44).
     """
     s, record, joint = cluster.settings, cluster.records[m.vehicle], cluster.joint
     airspeed_mps = usable_airspeed_mps(m)
