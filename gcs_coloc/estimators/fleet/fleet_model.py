@@ -224,7 +224,7 @@ class FleetModel:
             return UpdateResult(outcomes[0] if outcomes else Outcome.KEPT_OPEN_SIDE)
         cluster = self.clusters.common(*ends)
         if cluster is None:
-            waiting = self._initialise_ends(ends, m)
+            waiting = self._initialise_ends(ends, m, open_sides)
             if waiting is not None:
                 return waiting
             cluster = self.clusters.merge(*ends)
@@ -260,14 +260,14 @@ class FleetModel:
         else:
             self.considered_m.pop(pair, None)
 
-    def _initialise_ends(self, ends: tuple[int, int], m: RangeMeasurement) -> UpdateResult | None:
+    def _initialise_ends(self, ends: tuple[int, int], m: RangeMeasurement, open_sides: frozenset[int]) -> UpdateResult | None:
         """Initialise ends of a range without states; return what became of the range if it is not used."""
         at_s = m.measured_at_s
         for vehicle, other in (ends, ends[::-1]):
             if vehicle in self.clusters:
                 continue
             if self.records[vehicle].denied_vehicle:
-                found = initialise_from_ranges(self.clusters, vehicle, at_s)
+                found = initialise_from_ranges(self.clusters, vehicle, at_s, open_sides)
                 if not found and begin_by_slow_ranges(self.clusters, vehicle, other, m):
                     return UpdateResult(search_with_range(self.clusters, vehicle, other, m))
                 return UpdateResult(Outcome.INITIALISED if found else Outcome.KEPT_INITIALISING)

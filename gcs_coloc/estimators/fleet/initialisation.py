@@ -9,12 +9,14 @@ import math
 
 import numpy as np
 
+from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.measurements import AltitudeMeasurement, AttitudeMeasurement, FloatArray, PositionMeasurement
 from gcs_coloc.core.reasons import StatedReason
 from gcs_coloc.estimators.fleet.ekf.air_data import EVERY_S, AirCalibration, GroundVelocity, steady_air_m2
 from gcs_coloc.estimators.fleet.ekf.cluster import ClusterSet
+from gcs_coloc.estimators.fleet.ekf.possible_motion import BOUND_95_SIGMAS
 from gcs_coloc.estimators.fleet.ekf.process_model import acceleration_density_m2ps3, turn_rate_radps, usable_airspeed_mps
-from gcs_coloc.estimators.fleet.ekf.records import Records, VehicleRecord
+from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import (
     HEADING_ERROR,
     POSITION,
@@ -90,16 +92,17 @@ def learn_manoeuvres(record: VehicleRecord, report: PositionMeasurement, s: Flee
         record.manoeuvre_noise.learn_from_report(report, density_m2ps3, s.noise_level_time_s, record.profile.noise_levels[1])
 
 
-def initialise_from_ranges(clusters: ClusterSet, vehicle: int, at_s: float) -> bool:
+def initialise_from_ranges(clusters: ClusterSet, vehicle: int, at_s: float, open_sides: frozenset[int]) -> bool:
     """Initialise a denied vehicle from its recent ranges alone; return whether it succeeded.
 
-    A failure leaves its reason in the vehicle's record. The next try is made no sooner than after `_TRY_EVERY_S`.
+    Ranges to other denied vehicles count where these are located, but for `open_sides`, which may be elsewhere. A failure leaves
+    its reason in the vehicle's record. The next try is made no sooner than after `_TRY_EVERY_S`.
     """
     record, s = clusters.records.writable(vehicle), clusters.settings
     if at_s - record.initialisation_tried_at_s < _TRY_EVERY_S:
         return False
     record.initialisation_tried_at_s = at_s
-    problem = _multilateration_problem(clusters.records, vehicle, at_s, s)
+    problem = _multilateration_problem(clusters, vehicle, at_s, open_sides)
     solution = solve_multilateration(problem, s.limit_sigma_m)
     if isinstance(solution, StatedReason):
         record.no_estimate_reason = solution
@@ -121,24 +124,51 @@ def begin_without_reports(record: VehicleRecord, at_s: float, s: FleetSettings) 
     record.forget_tests()
 
 
-def _multilateration_problem(records: Records, vehicle: int, at_s: float, s: FleetSettings) -> MultilaterationProblem:
-    """Return the recent ranges of a vehicle to peers with fresh reports, and its own heights."""
-    problem = MultilaterationProblem(at_s)
+def _multilateration_problem(
+    clusters: ClusterSet, vehicle: int, at_s: float, open_sides: frozenset[int]
+) -> MultilaterationProblem:
+    """Return the recent ranges of a vehicle to others whose positions are known, and its own heights."""
+    records, s = clusters.records, clusters.settings
+    # An acceleration of the most in an unknown direction.
+    problem = MultilaterationProblem(at_s, records[vehicle].profile.max_acceleration_mps2 / math.sqrt(2.0))
     for m in records[vehicle].recent_ranges:
         peer = m.other_end(vehicle)
-        report = records[peer].last_position
-        if report is None or records[peer].denied_vehicle:
-            continue
-        past = [r for r in records[peer].recent_own if isinstance(r, PositionMeasurement)]
-        near = min(past, key=lambda r: abs(r.measured_at_s - m.measured_at_s), default=report)
-        if abs(near.measured_at_s - m.measured_at_s) > s.initialisation_age_s and not near.static:
+        if records[peer].denied_vehicle:
+            located = None if peer in open_sides else _located(clusters, peer)
+            past = [] if located is None else [located]
+        else:
+            newest = records[peer].last_position
+            past = [r for r in records[peer].recent_own if isinstance(r, PositionMeasurement)] or ([newest] if newest else [])
+        near = min(past, key=lambda r: abs(r.measured_at_s - m.measured_at_s), default=None)
+        if near is None or (abs(near.measured_at_s - m.measured_at_s) > s.initialisation_age_s and not near.static):
             continue
         error = records[vehicle].lasting_error((peer, m.device_id))
-        problem.add_range(peer, near, past, m, 0.0 if error is None else error.sigma_m**2)
+        lasting_m2, profile = 0.0 if error is None else error.sigma_m**2, records[peer].profile
+        reach_m = profile.reach_m(abs(m.measured_at_s - near.measured_at_s), profile.max_acceleration_mps2)
+        problem.add_range(peer, near, past, m, lasting_m2, 0.0 if near.static else reach_m / BOUND_95_SIGMAS)
     for own in records[vehicle].recent_own:
         if isinstance(own, AltitudeMeasurement):
             problem.add_altitude(own)
     return problem
+
+
+def _located(clusters: ClusterSet, vehicle: int) -> PositionMeasurement | None:
+    """Return the position of a denied vehicle by its states, as a report of it; None where it has none."""
+    cluster = clusters.get(vehicle)
+    if cluster is None:
+        return None
+    x, P, at_s = cluster.joint.mean(vehicle), cluster.joint.covariance(vehicle), cluster.joint.time_s[vehicle]
+    (e, n, u), (ve, vn, vu) = x[POSITION].tolist(), x[VELOCITY].tolist()
+    return PositionMeasurement(
+        vehicle,
+        at_s,
+        at_s,
+        (e, n, u),
+        horizontal_sigma_m(P),
+        math.sqrt(P.item(2, 2)),
+        (ve, vn, vu),
+        horizontal_sigma_m(P[3:, 3:]),
+    )
 
 
 def block_from_report(

@@ -1,6 +1,7 @@
 """Multilateration: position and velocity from ranges alone, eq. (26).
 
-It is a robust least squares fit from many starting points. Few or badly placed peers allow a reflected solution. Where altitude
+It is a robust least squares fit from many starting points. The vehicle may turn meanwhile: its accelerations are solved for as
+well, each about zero with what its class can do. Few or badly placed peers allow a reflected solution. Where altitude
 and motion do not decide, the position is ambiguous; only a reflection straight above or below is returned, as one position with
 an open height.
 """
@@ -40,31 +41,41 @@ _STRAIGHT = 0.25
 """Chosen: a height one sigma off bends a range by so many of its sigmas. With 1.0 one of twelve starts (test_reflected_start.py)
 counted as known that the filter took to the wrong side."""
 _HEIGHT_PRIOR_M = 300.0  # chosen: priors as wide as small aircraft fly, about rest and the mean height of the peers
+_STRETCH_S = 1.0  # chosen: the acceleration is constant so long; a roll from one turn into another takes about a second
 _ROUGH_MOST_SIGMAS = 50.0  # chosen: bounds the residuals in the ranking of starting points
 
 
 class MultilaterationProblem:
-    """A denied vehicle's recent ranges, its peers' positions then, its heights; times count from `at_s`."""
+    """A denied vehicle's recent ranges, its peers' positions then, its heights; times count from `at_s`.
 
-    def __init__(self, at_s: float) -> None:
-        self.at_s = at_s
+    `acceleration_sigma_mps2`: that of the vehicle meanwhile, east and north.
+    """
+
+    def __init__(self, at_s: float, acceleration_sigma_mps2: float) -> None:
+        self.at_s, self.acceleration_sigma_mps2 = at_s, acceleration_sigma_mps2
         self._rows: list[tuple[int, float, float, float, float, float, float, float]] = []
         self._heights: list[tuple[float, float, float]] = []
 
     def add_range(
-        self, peer: int, near: PositionMeasurement, past: list[PositionMeasurement], m: RangeMeasurement, lasting_m2: float
+        self,
+        peer: int,
+        near: PositionMeasurement,
+        past: list[PositionMeasurement],
+        m: RangeMeasurement,
+        lasting_m2: float,
+        turned_m: float,
     ) -> None:
         """Add a range with the position of its peer at that time.
 
         The position is extrapolated from `near`, the report nearest in time, by its velocity. Without one, the velocity is that
-        of the `past` reports. `lasting_m2` is the variance of the lasting error of the pair.
+        of the `past` reports. `lasting_m2` is the variance of the lasting error of the pair. `turned_m` is the sigma of where a
+        turn since that report may have led the peer.
         """
         velocity = near.velocity_enu_mps or _slope(past)
         step_s = m.measured_at_s - near.measured_at_s
         e, n, u = (x + v * step_s for x, v in zip(near.position_enu_m, velocity, strict=True))
-        self._rows.append(
-            (peer, m.measured_at_s - self.at_s, e, n, u, m.range_m, m.sigma_m, math.sqrt(near.sigma_h_m**2 + lasting_m2))
-        )
+        peer_sigma_m = math.sqrt(near.sigma_h_m**2 + lasting_m2 + turned_m**2)
+        self._rows.append((peer, m.measured_at_s - self.at_s, e, n, u, m.range_m, m.sigma_m, peer_sigma_m))
 
     def add_altitude(self, m: AltitudeMeasurement) -> None:
         """Add a height of the denied vehicle itself."""
@@ -99,6 +110,24 @@ class MultilaterationProblem:
         inflation = math.sqrt(max(len(self._heights), 1))
         return np.array([(t, u, sigma * inflation) for t, u, sigma in self._heights], dtype=np.float64).reshape(-1, 3)
 
+    def motion(self) -> tuple[FloatArray, FloatArray]:
+        """Return the matrices (n, 3, k) from the unknowns to the position at each range, and the priors (k,).
+
+        The unknowns are position and velocity at `at_s`, m and m/s, then the east and north accelerations in each stretch of
+        time before, m/s^2. The priors are 1-sigmas, infinite for none.
+        """
+        t = np.array([row[1] for row in self._rows])
+        stretches = max(math.ceil(-float(t.min()) / _STRETCH_S), 1)
+        place = np.zeros((len(t), 3, 6 + 2 * stretches))
+        place[:, range(3), range(3)] = 1.0
+        place[:, range(3), range(3, 6)] = t[:, np.newaxis]
+        for i in range(stretches):
+            ended, began = np.maximum(-i * _STRETCH_S - t, 0.0), np.maximum(-(i + 1) * _STRETCH_S - t, 0.0)
+            place[:, 0, 6 + 2 * i] = place[:, 1, 7 + 2 * i] = 0.5 * (ended**2 - began**2)
+        return place, np.array(
+            [math.inf, math.inf, _HEIGHT_PRIOR_M, *_VELOCITY_PRIOR_MPS, *[self.acceleration_sigma_mps2] * (2 * stretches)]
+        )
+
 
 def _slope(past: list[PositionMeasurement]) -> tuple[float, float, float]:
     if len(past) < 2:
@@ -120,19 +149,20 @@ def solve_multilateration(problem: MultilaterationProblem, limit_sigma_m: float)
     if len(peers) < LEAST_PEERS or sum(peers.values()) < LEAST_RANGES:
         return Unlocated(NoEstimateReason.FEW_RANGES, sum(peers.values()), len(peers))
     ranges, heights = problem.ranges(), problem.heights()
-    x, cost, normal = _descend(_starting_points(ranges, heights), ranges, heights)
+    place, prior_sigmas = problem.motion()
+    x, cost, normal = _descend(_starting_points(ranges, heights, place), ranges, heights, place, prior_sigmas)
     best = int(np.argmin(cost))
-    residual = _residuals(x[best : best + 1], ranges)[0]
+    residual = _residuals(x[best : best + 1], ranges, place)[0]
     fits = np.abs(residual) <= _OUTLIER_SIGMAS
     if 1.0 - fits.mean() > _MOST_OUTLIERS or float(np.mean(residual[fits] ** 2)) > _MOST_MEAN_SQUARE:
         return Unlocated(NoEstimateReason.CONTRADICTORY)
-    covariance = np.linalg.inv(normal[best])
+    covariance = np.linalg.inv(normal[best])[:6, :6]
     worst_m = horizontal_sigma_m(covariance)
     if worst_m > limit_sigma_m:
         return Unlocated(NoEstimateReason.UNDETERMINED, worst_m)
-    mean = x[best]
+    mean = x[best, :6]
     for other in np.flatnonzero(cost < cost[best] + _CLEARLY_WORSE):
-        d = x[other] - x[best]
+        d = x[other, :6] - x[best, :6]
         apart = d[:2] @ np.linalg.solve(covariance[:2, :2], d[:2])
         if apart > _DISTINCT_NIS:
             return Unlocated(NoEstimateReason.OTHER_PLACE, math.hypot(d[0], d[1]))
@@ -146,8 +176,8 @@ def solve_multilateration(problem: MultilaterationProblem, limit_sigma_m: float)
     return mean, covariance
 
 
-def _starting_points(ranges: FloatArray, heights: FloatArray) -> FloatArray:
-    """Return (s, 6): positions on the spheres about the peers, those that fit all ranges best, at rest."""
+def _starting_points(ranges: FloatArray, heights: FloatArray, place: FloatArray) -> FloatArray:
+    """Return (s, k): positions on the spheres about the peers, those that fit all ranges best, at rest."""
     azimuth = np.arange(_AZIMUTHS) * (2.0 * math.pi / _AZIMUTHS)
     directions = np.array(
         [(math.sin(a) * math.cos(h), math.cos(a) * math.cos(h), math.sin(h)) for h in _ELEVATIONS_RAD for a in azimuth]
@@ -157,38 +187,39 @@ def _starting_points(ranges: FloatArray, heights: FloatArray) -> FloatArray:
     points = (rows[:, np.newaxis, 1:4] + rows[:, 4, np.newaxis, np.newaxis] * directions).reshape(-1, 3)
     if len(heights):
         points[:, 2] = heights[-1, 1]
-    candidates = np.zeros((len(points), 6))
+    candidates = np.zeros((len(points), place.shape[2]))
     candidates[:, :3] = points
-    rough = np.minimum(np.abs(_residuals(candidates, ranges)), _ROUGH_MOST_SIGMAS).sum(axis=1)
+    rough = np.minimum(np.abs(_residuals(candidates, ranges, place)), _ROUGH_MOST_SIGMAS).sum(axis=1)
     order = np.argsort(rough, kind="stable")
     # The best ones crowd together: others spread over the rest reach the far side too.
     near, far = order[: _STARTS // 2], order[_STARTS // 2 :: max(1, len(order) // (_STARTS // 2))]
     return np.asarray(candidates[np.concatenate([near, far])])
 
 
-def _residuals(x: FloatArray, ranges: FloatArray) -> FloatArray:
-    """Return (s, n): the residual of each range at each state (s, 6), in sigmas."""
-    where = x[:, np.newaxis, :3] + x[:, np.newaxis, 3:] * ranges[:, 0, np.newaxis]
-    distance = np.linalg.norm(where - ranges[:, 1:4], axis=2)
+def _residuals(x: FloatArray, ranges: FloatArray, place: FloatArray) -> FloatArray:
+    """Return (s, n): the residual of each range at each state (s, k), in sigmas."""
+    distance = np.linalg.norm(np.einsum("nij,sj->sni", place, x) - ranges[:, 1:4], axis=2)
     return np.asarray((ranges[:, 4] - distance) / ranges[:, 5])
 
 
-def _descend(x: FloatArray, ranges: FloatArray, heights: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _descend(
+    x: FloatArray, ranges: FloatArray, heights: FloatArray, place: FloatArray, prior_sigmas: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Minimise eq. (26) from all starting points at once (Levenberg-Marquardt, Huber weights).
 
-    Returns the states (s, 6), their costs (s,) and normal matrices (s, 6, 6).
+    Returns the states (s, k), their costs (s,) and normal matrices (s, k, k).
     """
-    prior = np.diag([0.0, 0.0, _HEIGHT_PRIOR_M**-2, *(v**-2 for v in _VELOCITY_PRIOR_MPS)])
-    centre = np.zeros(6)
+    centre = np.zeros(len(prior_sigmas))
     centre[2] = float(ranges[:, 3].mean())
+    prior = np.diag(prior_sigmas**-2)
     damping = np.full(len(x), 1e-2)
-    cost, gradient, normal = _linearise(x, ranges, heights, prior, centre)
-    eye = np.eye(6)
+    cost, gradient, normal = _linearise(x, ranges, heights, place, prior, centre)
+    eye = np.eye(len(centre))
     for _ in range(_ITERATIONS):
         scale = np.einsum("sii->si", normal)[:, :, np.newaxis] * eye
         step = np.linalg.solve(normal + damping[:, np.newaxis, np.newaxis] * scale, gradient[:, :, np.newaxis])[:, :, 0]
         tried = x + step
-        cost_t, gradient_t, normal_t = _linearise(tried, ranges, heights, prior, centre)
+        cost_t, gradient_t, normal_t = _linearise(tried, ranges, heights, place, prior, centre)
         better = cost_t <= cost
         x = np.where(better[:, np.newaxis], tried, x)
         gradient = np.where(better[:, np.newaxis], gradient_t, gradient)
@@ -199,25 +230,24 @@ def _descend(x: FloatArray, ranges: FloatArray, heights: FloatArray) -> tuple[Fl
 
 
 def _linearise(
-    x: FloatArray, ranges: FloatArray, heights: FloatArray, prior: FloatArray, centre: FloatArray
+    x: FloatArray, ranges: FloatArray, heights: FloatArray, place: FloatArray, prior: FloatArray, centre: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return cost (s,), downhill gradient (s, 6) and normal matrix (s, 6, 6) at the states (s, 6)."""
-    t = ranges[:, 0, np.newaxis]
-    d = x[:, np.newaxis, :3] + x[:, np.newaxis, 3:] * t - ranges[:, 1:4]
+    """Return cost (s,), downhill gradient (s, k) and normal matrix (s, k, k) at the states (s, k)."""
+    d = np.einsum("nij,sj->sni", place, x) - ranges[:, 1:4]
     distance = np.maximum(np.linalg.norm(d, axis=2), 1e-6)
     u = d / distance[:, :, np.newaxis]
-    J = np.concatenate([u, u * t], axis=2) / ranges[:, 5, np.newaxis]
+    J = np.einsum("sni,nij->snj", u, place) / ranges[:, 5, np.newaxis]
     residual = (ranges[:, 4] - distance) / ranges[:, 5]
     size = np.abs(residual)
     weight = np.minimum(1.0, _HUBER_SIGMAS / np.maximum(size, 1e-12))
     cost = np.where(size <= _HUBER_SIGMAS, size * size, 2.0 * _HUBER_SIGMAS * size - _HUBER_SIGMAS * _HUBER_SIGMAS).sum(axis=1)
     JW = J * weight[:, :, np.newaxis]
-    normal = np.einsum("sni,snj->sij", JW, J) + prior
+    normal = JW.transpose(0, 2, 1) @ J + prior
     off = centre - x
     gradient = np.einsum("sni,sn->si", JW, residual) + off @ prior
     cost = cost + np.einsum("si,ij,sj->s", off, prior, off)
     if len(heights):
-        H = np.zeros((len(heights), 6))
+        H = np.zeros((len(heights), len(centre)))
         H[:, 2] = 1.0 / heights[:, 2]
         H[:, 5] = heights[:, 0] / heights[:, 2]
         miss_h = heights[:, 1] / heights[:, 2] - x @ H.T
