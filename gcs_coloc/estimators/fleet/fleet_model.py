@@ -20,7 +20,7 @@ from gcs_coloc.core.measurements import (
     Unlocated,
     VehicleClassReport,
 )
-from gcs_coloc.estimators.fleet.ambiguity.range_evidence import monitor_range
+from gcs_coloc.estimators.fleet.ambiguity.range_evidence import add_missed_turn, monitor_range
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, NoiseSplit, without_time_error
 from gcs_coloc.estimators.fleet.ekf.air_data import AIR_UNSUSPECTED
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster, ClusterSet
@@ -242,6 +242,11 @@ class FleetModel:
         white_m = scatter_m if scatter_m > UNDERSTATED * sigma_m else sigma_m
         unknown = unknown_errors(denied, pair)
         result = update_range(cluster, pair, unbiased, white_m, coloured_m, self.considered_m, unknown)
+        refused = result.outcome is Outcome.REFUSED_RANGE_GATE
+        if refused and [vehicle for vehicle, other, _ in denied if add_missed_turn(cluster, vehicle, other, result, m)]:
+            # Models are compared by the first try.
+            again = update_range(cluster, pair, unbiased, white_m, coloured_m, self.considered_m, unknown)
+            result = result._replace(outcome=again.outcome)
         if result.used and len(denied) == 1:
             observe_bias(cluster, *denied[0][:2], m, white_m, coloured_m)
         for denied_vehicle, other, _ in denied:

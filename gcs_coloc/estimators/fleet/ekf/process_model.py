@@ -32,7 +32,7 @@ _COAST_TIME_S = 2.0  # chosen: without an update for longer the process noise is
 _COAST_GAIN = 5.0  # chosen: the most by which a gap inflates; more makes a vehicle out of range needlessly uncertain
 _NOTICED_SIGMA_M = 10.0  # chosen: a denied vehicle known worse than this shows a manoeuvre late, so its process noise is inflated
 _UNNOTICED_GAIN = 20.0  # chosen: the most by which a large position variance inflates
-_NOTICED_INTERVAL_S, _MOST_LATE = 0.2, 10.0
+NOTICED_INTERVAL_S, _MOST_LATE = 0.2, 10.0
 """Chosen: the white acceleration of the settings is for ranges at 5 Hz; ranges every two seconds show where a vehicle was."""
 _TURN_SHOWN_SIGMA_M = 1.0  # chosen: a position known better than this along some direction shows a turn within a second
 _TURN_GAIN = 6.0  # chosen: the most by which the turn rate's sigma is inflated: 6 * 0.03 rad/s is 10 degrees a second
@@ -243,7 +243,7 @@ def _late_level(level: float, record: VehicleRecord) -> float:
     if not record.denied_vehicle or not record.neighbours or (profile.is_recurring and not profile.leaves_at_once):
         return level
     intervals_s = sorted([neighbour.interval_s for neighbour in record.neighbours.values()])[:2]
-    late = min(max(intervals_s[-1] / _NOTICED_INTERVAL_S, 1.0), _MOST_LATE)
+    late = min(max(intervals_s[-1] / NOTICED_INTERVAL_S, 1.0), _MOST_LATE)
     return max(level, late - 1.0) if profile.is_recurring else level * late
 
 

@@ -37,7 +37,7 @@ _RECENT_MOST = 64
 """Chosen: own measurements from which an initialisation replays, enough for velocity; bounded in memory."""
 _RANGES_S = 4.0
 _RANGES_MOST = 120
-"""Chosen: ranges for multilateration, so few that constant velocity holds; bounded in memory."""
+"""Chosen: ranges for multilateration, of so short a time that few turns are in it; bounded in memory."""
 
 OwnMeasurement = PositionMeasurement | AltitudeMeasurement | AttitudeMeasurement | OdometryMeasurement
 """What a vehicle measures of itself."""
@@ -50,6 +50,14 @@ class UnresolvedOutlier(NamedTuple):
     unit: tuple[float, float, float]
     innovation_m: float
     nis: float
+
+
+class RefusedRange(NamedTuple):
+    """The last range with a neighbour, which was refused, and whether it is too short for a detour."""
+
+    neighbour: int
+    at_s: float
+    is_too_short: bool
 
 
 class ReflectionEvidence(NamedTuple):
@@ -160,6 +168,8 @@ class VehicleRecord:
     cusum: float = 0.0
     """CUSUM statistic of refused against used ranges, eq. (21): evidence that the state is wrong."""
     unresolved_outlier: UnresolvedOutlier | None = None
+    refusals: tuple[RefusedRange, ...] = ()
+    """Of the neighbours whose last range was refused."""
     reflection_evidence: ReflectionEvidence | None = None
     refused_innovation_m2: float = 0.0
     """Mean squared innovation of the refused ranges, m^2."""
@@ -204,6 +214,7 @@ class VehicleRecord:
         """Forget what tests of ranges have shown of the states so far: others begin."""
         self.cusum = self.range_noise_inflation_m2 = 0.0
         self.unresolved_outlier = self.reflection_evidence = self.bias_window = None
+        self.refusals = ()
 
     def in_use_s(self, neighbour: int) -> float:
         """Return how long after its last range a neighbour is in use."""

@@ -160,9 +160,7 @@ def update_air_velocity(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResul
     whitened = whiten(linear.HA, linear.innovation_covariance(linear.R))
     nis = whitened.nis
     if nis > limit and s.attitude_fresh_s < since_s <= ATTITUDE_HELD_S:
-        missed = np.zeros((6, 6))
-        missed[_PLACE_AND_MOTION] = _manoeuvre_covariance(since_s)[_PLACE_AND_MOTION]
-        missed[_PLACE_BY_MOTION] *= CORRELATION
+        missed = missed_turn_covariance(since_s, _HARDEST_MPS2)
         joint.covariance(m.vehicle)[:6, :6] += missed
         linear = air_velocity(joint, m, airspeed_mps, since_s, s, level)
         whitened = whiten(linear.HA, linear.innovation_covariance(linear.R))
@@ -275,12 +273,20 @@ def change_time_stamp_offset_sigma(cluster: Cluster, vehicle: int, sigma_s: floa
         record.time_stamp_offset_sigma_s = cluster.change_sigma(vehicle, _OFFSET, record.time_stamp_offset_sigma_s, sigma_s)
 
 
-def _manoeuvre_covariance(since_s: float) -> FloatArray:
+def missed_turn_covariance(since_s: float, most_mps2: float) -> FloatArray:
+    """Return the covariance (6, 6) that an unseen turn of up to `most_mps2` adds, eq. (20)."""
+    missed = np.zeros((6, 6))
+    missed[_PLACE_AND_MOTION] = _manoeuvre_covariance(since_s, most_mps2)[_PLACE_AND_MOTION]
+    missed[_PLACE_BY_MOTION] *= CORRELATION
+    return missed
+
+
+def _manoeuvre_covariance(since_s: float, most_mps2: float = _HARDEST_MPS2) -> FloatArray:
     """Return the covariance (6, 6) that an unknown constant acceleration adds, eq. (20).
 
     It is that of position and velocity. The acceleration began `since_s` ago.
     """
-    speed = _HARDEST_MPS2 * since_s
+    speed = most_mps2 * since_s
     distance = 0.5 * speed * since_s
     covariance = np.zeros((6, 6))
     for axis in range(3):

@@ -91,6 +91,14 @@ def test_ranges_once_a_second_show_a_turn_without_attitude(seed):
     assert (off_m < 3.0 * bound_m).mean() > 0.98
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_ranges_of_two_neighbours_show_a_steep_turn_without_attitude(seed):
+    """Every other range was outside the gate: 66 to 75 m off, as long as the turn lasted."""
+    off_m, bound_m = errors_and_bounds_m(VehicleClass.PLANE, plane(math.radians(62.0)), seed)
+    assert off_m.max() < 35.0
+    assert (off_m < 3.0 * bound_m).mean() > 0.97
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_multirotor_that_hovered_is_followed_when_it_leaves(seed):
     """It had learned while it hovered that it does not move: 12 m off at a bound of 4 m, with ranges of 15 cm."""
