@@ -22,6 +22,11 @@ _ROLL_RATE_RADPS = (radians(30.0), radians(70.0))
 _TURN_BACK_BANK = radians(30.0)
 _STRAIGHT_SHARE = 0.4  # chosen: missions are legs and turns
 _LEAST_HELD_S, _MEAN_HELD_S = 2.0, 12.0  # chosen: some leg is long, few are short
+_DRAG_PER_S = (0.1, 0.5)
+"""How fast drag takes a copter along with the air, drawn for each. Source: 0.4 to 0.5 of a light quadrotor (Faessler, Franchi,
+Scaramuzza 2018); ArduCopter's simulated one has 0.5. Chosen: heavy ones have less."""
+_TRIM_SIGMA = radians(1.0)
+"""Lasting error of each axis of a copter's tilt. Chosen: an autopilot levelled by hand is 2 degrees off at times."""
 _GUST_TIME_S = 4.0
 """Gusts are a Gauss-Markov process of this time. Chosen: shorter than the 5 to 10 s of Dryden's model at 100 m and 20 m/s."""
 
@@ -105,7 +110,7 @@ def draw_trajectories(rng: np.random.Generator, drawn: FlightClass, duration_s: 
             found.append(_plane(rng, drawn, steps, centre, 0.6 * extent_m, wind_mps))
         else:
             radius_m = 2.0 if motion is Motion.HOVER else 0.6 * extent_m
-            found.append(_copter(rng, drawn, steps, centre, radius_m, is_agile=motion is Motion.AGILE))
+            found.append(_copter(rng, drawn, steps, centre, radius_m, wind_mps, is_agile=motion is Motion.AGILE))
     return found
 
 
@@ -167,7 +172,14 @@ def _plane(
 
 
 def _copter(
-    rng: np.random.Generator, drawn: FlightClass, steps: int, centre_m: FloatArray, radius_m: float, *, is_agile: bool
+    rng: np.random.Generator,
+    drawn: FlightClass,
+    steps: int,
+    centre_m: FloatArray,
+    radius_m: float,
+    wind_mps: FloatArray,
+    *,
+    is_agile: bool,
 ) -> Trajectory:
     """Fly a copter to random waypoints within `radius_m` of the centre.
 
@@ -179,7 +191,7 @@ def _copter(
     yaw, until_s = rng.uniform(-pi, pi), 0.0
     place = np.array((*(centre_m + rng.uniform(-0.5, 0.5, 2) * radius_m), rng.uniform(20.0, 120.0)))
     velocity, acceleration, target = np.zeros(3), np.zeros(3), place.copy()
-    positions, velocities, attitude = np.empty((steps, 3)), np.empty((steps, 3)), np.empty((steps, 3))
+    positions, velocities, accelerations = np.empty((steps, 3)), np.empty((steps, 3)), np.empty((steps, 3))
     for k in range(steps):
         if k * STEP_S >= until_s:
             until_s = k * STEP_S + (rng.uniform(2.0, 6.0) if is_agile else rng.uniform(8.0, 30.0))
@@ -194,11 +206,22 @@ def _copter(
         acceleration += (push - acceleration) * STEP_S / 0.25
         velocity = velocity + acceleration * STEP_S
         place = place + velocity * STEP_S
-        forward = acceleration[0] * sin(yaw) + acceleration[1] * cos(yaw)
-        right = acceleration[0] * cos(yaw) - acceleration[1] * sin(yaw)
-        positions[k], velocities[k] = place, velocity
-        attitude[k] = atan2(right, GRAVITY_MPS2), -atan2(forward, GRAVITY_MPS2), yaw
+        positions[k], velocities[k], accelerations[k] = place, velocity, acceleration
+    # Drawn apart: what else a flight draws is what it was before copters had drag.
+    air = rng.spawn(1)[0]
+    through_air_mps = velocities - wind_mps
+    through_air_mps[:, :2] -= gauss_markov(air, steps, STEP_S, air.uniform(*drawn.gust_mps), _GUST_TIME_S, 2)
+    attitude = _tilt(accelerations + air.uniform(*_DRAG_PER_S) * through_air_mps, yaw)
+    attitude[:, :2] += air.normal(0.0, _TRIM_SIGMA, 2)
     return Trajectory(positions, velocities, attitude, None)
+
+
+def _tilt(forces_mps2: FloatArray, yaw: float) -> FloatArray:
+    """Return the attitude (N, 3) whose thrust is gravity and these forces (N, 3) m/s^2, east, north, up."""
+    east, north, up = forces_mps2.T
+    up = up + GRAVITY_MPS2
+    forward, right = east * sin(yaw) + north * cos(yaw), east * cos(yaw) - north * sin(yaw)
+    return np.stack([np.arctan2(right, np.hypot(forward, up)), -np.arctan2(forward, up), np.full(len(up), yaw)], axis=1)
 
 
 def _follow(rng: np.random.Generator, leader: Trajectory, offset_m: FloatArray, steps: int) -> Trajectory:

@@ -73,6 +73,25 @@ def test_a_copter_keeps_its_acceleration():
     assert 4.0 < acceleration.max() <= 6.01
 
 
+@pytest.mark.parametrize("seed", [5, 6])
+def test_a_copter_tilts_as_its_acceleration_and_the_air_ask(seed):
+    drawn = replace(CLASSES["agile-copters"], wind_mps=(6.0, 6.0), gust_mps=(0.0, 0.0))
+    course = draw_trajectories(np.random.default_rng(seed), drawn, MINUTE_S, 5)[0]
+    roll, pitch, yaw = course.attitude_rad[1:].T
+    acceleration = np.diff(course.velocities_mps, axis=0) / STEP_S
+    thrust = 9.80665 + acceleration[:, 2]
+    forward, right = -thrust * np.tan(pitch), thrust * np.tan(roll) / np.cos(pitch)
+    force = np.concatenate([forward * np.sin(yaw) + right * np.cos(yaw), forward * np.cos(yaw) - right * np.sin(yaw)])
+    east, north = np.repeat(np.eye(2), len(yaw), axis=1)
+    causes = np.stack([acceleration[:, :2].T.ravel(), course.velocities_mps[1:, :2].T.ravel(), east, north], axis=1)
+    (gain, drag_per_s, *still), *_ = np.linalg.lstsq(causes, force, rcond=None)
+    assert gain == pytest.approx(1.0, abs=0.05)
+    assert 0.1 <= drag_per_s <= 0.5
+    # Where it stands still the wind alone tilts it, and the error of its trim.
+    assert np.hypot(*still) == pytest.approx(6.0 * drag_per_s, abs=0.6)
+    assert np.std(force - causes @ (gain, drag_per_s, *still)) < 0.2 * np.std(force)
+
+
 def test_gauss_markov_keeps_its_sigma_and_time():
     values = gauss_markov(np.random.default_rng(1), 200_000, 1.0, 2.0, 30.0, axes=1)[:, 0]
     assert values.std() == pytest.approx(2.0, rel=0.05)
