@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gcs_coloc.core.measurements import FloatArray, Vector3, VehicleClass
-from gcs_coloc.estimators.fleet.ekf.process_model import GRAVITY_MPS2
+from gcs_coloc.estimators.fleet.ekf.tilt import GRAVITY_MPS2
 
 _SIDEWAYS_MPS2: Mapping[VehicleClass, float] = {
     VehicleClass.PLANE: GRAVITY_MPS2 * math.tan(math.radians(30.0)),

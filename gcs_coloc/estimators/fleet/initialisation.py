@@ -51,7 +51,7 @@ def initialise_from_reports(clusters: ClusterSet, vehicle: int, at_s: float) -> 
     white, coloured = split_report_noise(record, first, s)
     record.time_stamp_offset_sigma_s = time_stamp_offset_sigma_s(first, s)
     (record.report_error_sigma_h_m, record.report_error_sigma_v_m), record.baro_error_sigma_m = coloured, 0.0
-    record.attitude, record.began_on_either_side = None, False
+    record.attitude, record.tilt, record.began_on_either_side = None, None, False
     record.updated_at_s = record.velocity_used_at_s = first.measured_at_s
     # Speeds all over the disc of those that the vehicle reaches.
     speed_sigmas_mps = 0.5 * record.profile.max_speed_mps, record.profile.max_climb_mps
@@ -117,7 +117,7 @@ def begin_without_reports(record: VehicleRecord, at_s: float, s: FleetSettings) 
     """Begin the record of a vehicle that is located from ranges alone."""
     record.baro_error_sigma_m = record.report_error_sigma_h_m = record.report_error_sigma_v_m = 0.0
     record.time_stamp_offset_sigma_s = s.time_stamp_offset_sigma_s
-    record.attitude = None
+    record.attitude = record.tilt = None
     # Its covariance holds all that the vehicle may have done until now, whatever the number of its neighbours.
     record.updated_at_s = record.told_at_s = record.gaps_added_until_s = at_s
     record.range_measurements = ()

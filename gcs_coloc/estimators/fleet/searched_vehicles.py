@@ -119,7 +119,7 @@ def search_with_range(clusters: ClusterSet, vehicle: int, other: int, m: RangeMe
         return Outcome.SEARCHING
     clusters.initialise(vehicle, *place, at_s)
     # The search gave `unshown` one in twenty alone, so it stays until ranges rule it out.
-    record.search = record.attitude = None
+    record.search = record.attitude = record.tilt = None
     record.forget_tests()
     record.manoeuvre = ManoeuvreDetector()
     record.updated_at_s = record.gaps_added_until_s = at_s

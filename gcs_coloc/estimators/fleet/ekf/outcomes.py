@@ -33,6 +33,8 @@ class Outcome(StrEnum):
     """The denied vehicle is searched, and on which side of its own peers the other end is, is open: it locates nobody."""
     SEARCHING = "used: several places fit"
     """The denied vehicle is too uncertain to linearise its ranges; its search uses them."""
+    USED_TILT = "used: tilt of a multirotor"
+    """Without airspeed it tells the acceleration of a multirotor."""
     KEPT_NO_AIRSPEED = "kept: attitude without airspeed"
     """Without airspeed, or banked too steeply, an attitude says nothing of the velocity."""
     REFUSED_IMPOSSIBLE = "refused: impossible value"

@@ -24,6 +24,7 @@ class MotionProfile:
     factor of the white acceleration without a fresh bank angle, eq. (30). A plane flies steadily between turns, which the
     manoeuvre detector finds. The manoeuvres of other vehicles recur (`is_recurring`). A vehicle of which nothing is known has the
     white acceleration of the settings. `leaves_at_once`: what hovered may accelerate as hard as it can the next moment.
+    `tilts`: it accelerates to where it tilts, eq. (47).
     `climb_level`: factor of the vertical one where reports or a barometric height show the climbs.
     """
 
@@ -34,6 +35,7 @@ class MotionProfile:
     is_recurring: bool
     climb_level: float = 1.0
     leaves_at_once: bool = False
+    tilts: bool = False
 
     def reach_m(self, since_s: float, acceleration_mps2: float) -> float:
         """Return how far an acceleration may lead a vehicle off its course, m: min(a t^2 / 2, 2 V t)."""
@@ -49,7 +51,9 @@ _CLIMB_LEVEL_OF_A_MULTIROTOR = 15.0
 PROFILES: Mapping[VehicleClass | None, MotionProfile] = {
     None: MotionProfile(30.0, 9.8, 5.0, *_AS_SET),
     VehicleClass.PLANE: MotionProfile(50.0, 9.8, 5.0, *_TURNING),
-    VehicleClass.MULTIROTOR: MotionProfile(20.0, 9.8, 5.0, *_RECURRING, _CLIMB_LEVEL_OF_A_MULTIROTOR, leaves_at_once=True),
+    VehicleClass.MULTIROTOR: MotionProfile(
+        20.0, 9.8, 5.0, *_RECURRING, _CLIMB_LEVEL_OF_A_MULTIROTOR, leaves_at_once=True, tilts=True
+    ),
     VehicleClass.GROUND: MotionProfile(10.0, 4.0, 2.0, *_RECURRING),
     VehicleClass.BOAT: MotionProfile(15.0, 3.0, 0.5, *_RECURRING),
     VehicleClass.INDOOR: MotionProfile(3.0, 4.0, 2.0, *_RECURRING),

@@ -1,4 +1,4 @@
-"""The process model of one vehicle: F and Q of a step, eq. (2) to (9), (42), (46) of docs/explanation.
+"""The process model of one vehicle: F and Q of a step, eq. (2) to (9), (42), (46), (47).
 
 Steady flight is constant velocity disturbed by white acceleration (Bar-Shalom, Li, Kirubarajan 2001, section 6.2.2). With a
 fresh bank angle the velocity through the air turns at the rate of a coordinated turn and the wind carries the vehicle along;
@@ -18,12 +18,9 @@ from gcs_coloc.estimators.fleet.ekf._kernels import Transition
 from gcs_coloc.estimators.fleet.ekf.possible_motion import BOUND_95_SIGMAS, CORRELATION, Motion
 from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import TURN
+from gcs_coloc.estimators.fleet.ekf.tilt import GRAVITY_MPS2, STEEPEST_BANK_RAD
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
-GRAVITY_MPS2 = 9.80665
-"""Standard gravity (CGPM 1901)."""
-STEEPEST_BANK_RAD = 1.2
-"""Chosen: 69 degrees, 2.8 g in a coordinated turn; a steeper bank is taken for aerobatics, where eq. (2) does not hold."""
 GAP_S = 1.5
 """Chosen: after a gap of this length between ranges a manoeuvre may have passed unobserved; one range may be lost at 1 Hz."""
 ATTITUDE_HELD_S = 2.5
@@ -133,6 +130,10 @@ def set_transition(
         transition.set_turn_column(step_s, lasting_s, mean[3], mean[4])
         if attitude is not None:
             mean = _accelerated(mean, across_mps2 * math.cos(attitude.yaw_rad), -across_mps2 * math.sin(attitude.yaw_rad), step_s)
+        elif record.tilt is not None and (share := record.tilt.held_share(at_s - step_s, at_s)) > 0.0:
+            east_mps2, north_mps2 = record.tilt.acceleration_mps2
+            mean = _accelerated(mean, share * east_mps2, share * north_mps2, step_s)
+            uneven = share * record.tilt.error_density_m2ps3
         if record.denied_vehicle and at_s - record.updated_at_s > GAP_S and not measured:
             # Eq. (28): no vehicle becomes ever faster. Turns such as it has shown make it no faster than it was.
             limits = record.profile
@@ -160,7 +161,7 @@ def set_transition(
 
 
 def _accelerated(mean: tuple[float, ...], east_mps2: float, north_mps2: float, step_s: float) -> tuple[float, ...]:
-    """Return a mean with a constant acceleration over the step before added, eq. (44).
+    """Return a mean with a constant acceleration over the step before added, eq. (44), (47).
 
     `mean` holds its first five components after that step without the acceleration.
     """

@@ -24,6 +24,7 @@ from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, ManoeuvreD
 from gcs_coloc.estimators.fleet.ekf.air_data import AIR_UNSUSPECTED, AirCalibration, AirCheck
 from gcs_coloc.estimators.fleet.ekf.possible_motion import PROFILES, MotionProfile, UnshownMotion
 from gcs_coloc.estimators.fleet.ekf.state import PairKey
+from gcs_coloc.estimators.fleet.ekf.tilt import Tilt
 from gcs_coloc.estimators.fleet.range_biases import BiasWindow, PairBias, RangeBiases, Ranged, UnknownBias
 from gcs_coloc.estimators.fleet.search.position_search import PositionSearch
 
@@ -119,6 +120,8 @@ class VehicleRecord:
     """Coloured/white split of its barometric heights."""
     attitude: AttitudeMeasurement | None = None
     """The newest attitude with an airspeed; it has none where that is refused."""
+    tilt: Tilt | None = None
+    """The newest tilt of a multirotor."""
     air_check: AirCheck = AIR_UNSUSPECTED
     """Whether its air data contradict its way over ground."""
     odometry: OdometryMeasurement | None = None

@@ -27,6 +27,7 @@ from gcs_coloc.estimators.fleet.ekf.possible_motion import CORRELATION
 from gcs_coloc.estimators.fleet.ekf.process_model import ATTITUDE_HELD_S, usable_airspeed_mps
 from gcs_coloc.estimators.fleet.ekf.records import OwnMeasurement, VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import BARO_ERROR, REPORT_ERROR, TIME_STAMP_OFFSET, JointState, Key, UnknownKey, whiten
+from gcs_coloc.estimators.fleet.ekf.tilt import missed_motion, tilt_after
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 _HARDEST_MPS2 = 20.0  # chosen: 2 g, the hardest manoeuvre that a position report outside the gate is explained by
@@ -37,7 +38,8 @@ _MISSED_CLIMB_S = 1.2
 _CLIMB_ERROR_MPS = 15.0  # chosen: the climb of an agile copter that was sinking a moment ago; a height that departs faster jumps
 _BARO = slice(BARO_ERROR, BARO_ERROR + 1)
 _UP_AND_CLIMB = np.ix_((2, 5), (2, 5))
-_PLACE_AND_MOTION = np.ix_((0, 1, 3, 4), (0, 1, 3, 4))
+_HORIZONTAL = np.array([0, 1, 3, 4])
+_PLACE_AND_MOTION = np.ix_(_HORIZONTAL, _HORIZONTAL)
 _PLACE_BY_MOTION = ([0, 1, 3, 4], [3, 4, 0, 1])
 _OFFSET = slice(TIME_STAMP_OFFSET, TIME_STAMP_OFFSET + 1)
 
@@ -138,6 +140,7 @@ def update_altitude(cluster: Cluster, m: AltitudeMeasurement, white_m: float, co
 def update_air_velocity(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResult:
     """Turn with the bank angle from now on, and correct with airspeed and heading, eq. (13).
 
+    A multirotor's attitude without airspeed accelerates it, eq. (47).
     Outside the gate, where they came too late to show a turn, they are tried again with a hard manoeuvre since the last ones,
     eq. (20); outside it again they are refused. As long as those of a denied vehicle contradict its way over ground the bank
     angle alone is used, eq. (44).
@@ -146,7 +149,7 @@ def update_air_velocity(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResul
     airspeed_mps = usable_airspeed_mps(m)
     if airspeed_mps is None:
         record.attitude = None
-        return UpdateResult(Outcome.KEPT_NO_AIRSPEED)
+        return _update_tilt(cluster, m) if record.profile.tilts and not record.static else UpdateResult(Outcome.KEPT_NO_AIRSPEED)
     cluster.propagate(m.vehicle, m.measured_at_s)
     before = record.attitude
     since_s = s.air_noise_time_s
@@ -172,6 +175,22 @@ def update_air_velocity(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResul
     joint.correct(whitened.W)
     cluster.add_corrections(m.vehicle, whitened.W, whitened.innovations(), m.measured_at_s)
     return UpdateResult(Outcome.USED, 0.0, 0.0, nis, 2)
+
+
+def _update_tilt(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResult:
+    """Accelerate with the tilt from now on, and add what the one before has missed since, eq. (48)."""
+    record, joint, before = cluster.records[m.vehicle], cluster.joint, cluster.records[m.vehicle].tilt
+    if before is not None and before.is_enough(m.measured_at_s):
+        return UpdateResult(Outcome.KEPT_NO_AIRSPEED)
+    cluster.propagate(m.vehicle, m.measured_at_s)
+    record.tilt = tilt_after(before, m)
+    if before is not None and before.is_joined(m.measured_at_s):
+        missed, covariance = missed_motion(before, record.tilt, record.velocity_used_at_s)
+        where = joint.where[m.vehicle].start + _HORIZONTAL
+        joint.A[0, where] += missed
+        joint.A[where, 0] += missed
+        joint.A[np.ix_(where, where)] += covariance
+    return UpdateResult(Outcome.USED_TILT)
 
 
 def _contradicts_its_way(cluster: Cluster, m: AttitudeMeasurement, airspeed_mps: float) -> bool:
