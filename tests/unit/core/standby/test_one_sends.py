@@ -264,6 +264,18 @@ def test_why_it_is_in_its_state_is_told():
     assert "does not take over by itself" in snapshots[1].problem
 
 
+def test_one_that_returns_and_hears_no_sign_of_life_is_passive_because_the_vehicle_is_fed():
+    pair = settled(1)
+    pair.kill(0)
+    pair.run(SETTLED_S + 2.0)
+    pair.split = [False, True]
+    pair.start(0)
+    pair.run(SETTLED_S + 4.0)
+    assert pair.states() == [StandbyState.PASSIVE, StandbyState.ACTIVE]
+    assert pair.services[0].peer.reason.reason is StandbyReason.OTHER_FEEDS
+    assert overlaps(pair.vehicles[0]) == []
+
+
 def test_one_that_took_over_by_mistake_stands_back_as_soon_as_it_sees_the_other_ones_stream():
     """The vehicle ceases to pass on and the link is cut in the same moment: all that there is to tell by says the wrong thing."""
     for seed in range(20):
