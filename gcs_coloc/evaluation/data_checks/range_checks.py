@@ -126,6 +126,9 @@ class RangePair:
         positions = np.full((len(self.rows), 3), np.nan)
         for is_truth, tracks in ((False, self.data.reports), (True, self.data.truth)):
             mine = self.from_truth[:, side] == is_truth
+            if mine.all():
+                found, known = tracks[vehicle].at(self.rows[:, 0] + shift(vehicle, is_truth))
+                return found if known.all() else np.where(known[:, np.newaxis], found, np.nan)
             if mine.any():
                 found, known = tracks[vehicle].at(self.rows[mine, 0] + shift(vehicle, is_truth))
                 positions[mine] = np.where(known[:, np.newaxis], found, np.nan)
