@@ -32,9 +32,10 @@ demo-docker-down:
 
 # Four processes on two cores: many tests wait for a wire. By file: a file's tests share what they have set up, as the containers.
 # In the order of tests/conftest.py: files that wait among those that compute.
+# In a fresh clone each of them would compile all tests: they are compiled once, while packages are fetched.
 TEST_JOBS ?= 4
 test: .venv/.ready-dev
-	sh tools/install-test-tools
+	[ -d tests/unit/core/__pycache__ ] || $(BIN)/python -m pytest --collect-only -qq >/dev/null 2>&1 & sh tools/install-test-tools && wait
 	$(BIN)/python -m pytest -n $(TEST_JOBS) --dist loadfile --no-loadscope-reorder
 
 test-wheel:
