@@ -15,7 +15,9 @@ def live(tmp_path_factory) -> Iterator[LiveService]:
     folder = tmp_path_factory.mktemp("web")
     (folder / "token").write_text(f"{TOKEN}\n")
     (folder / "token").chmod(0o600)
-    (folder / "config.toml").write_text(f'[web]\ntoken_file = "{folder / "token"}"\n')
+    # A receiver that is back is believed soon: what the page shows is tested, and not how long that takes.
+    health = "[gps_health]\nsteady_after_s = 0.5\nrecover_after_s = 2.0\n"
+    (folder / "config.toml").write_text(f'{health}[web]\ntoken_file = "{folder / "token"}"\n')
     port, out_port, failed = free_port(), free_port(), set()
     ground = ["--out", f"udpin:127.0.0.1:{out_port}"]
     arguments = [*ground, "--config", str(folder / "config.toml"), "--udp", f"127.0.0.1:{port}", "--web", "127.0.0.1:0"]
