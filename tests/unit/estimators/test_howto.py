@@ -14,7 +14,7 @@ from gcs_coloc.recorder.flight_report import FlightReport
 from gcs_coloc.recorder.replay import Replay, replay
 from gcs_coloc.recorder.side_tables import read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
-from tests.recordings import recording
+from tests.recordings import part, recording
 
 TEXT = (Path(__file__).parents[3] / "docs" / "how-to" / "write-an-estimator.md").read_text()
 
@@ -48,18 +48,18 @@ def test_the_estimator_of_the_text_runs_and_pulls_towards_the_truth(tmp_path: Pa
 
 
 def test_the_estimator_of_the_text_follows_a_real_aircraft_within_what_it_states(tmp_path: Path) -> None:
-    """For the first minute without GPS: half of the recording."""
-    file, begin = tmp_path / "own_estimator.py", tmp_path / "begin.tlog"
+    """From half a minute before it loses GPS for the first minute without."""
+    file = tmp_path / "own_estimator.py"
     file.write_text(block("python"))
     flight = recording("arduplane")
-    whole = (flight / "flight.tlog").read_bytes()
-    begin.write_bytes(whole[: len(whole) // 2])
+    lost_unix_s = TlogReader(flight / "flight.tlog").span()[0] + 150.2
+    ends_unix_s = lost_unix_s + 60.0
+    flown = part(flight / "flight.tlog", tmp_path, lost_unix_s - 30.0, ends_unix_s)
     engine = Engine(load_estimator(f"{file}:RangePull", tomllib.loads(block("toml"))["estimator"]["settings"]))
     report = FlightReport(engine, read_truth(flight / "truth.csv"))
-    *_, last = TlogReader(begin)
-    ranges = [range_ for range_ in read_ranges(flight / "ranges.csv") if range_.received_at_s <= last.unix_s]
-    through = Replay(engine, TlogReader(begin), ranges, report.add_outputs)
-    replay(through, [at_s for at_s in report.observation_times() if at_s <= last.unix_s], report.observe)
+    ranges = [each for each in read_ranges(flight / "ranges.csv") if lost_unix_s - 30.0 <= each.received_at_s <= ends_unix_s]
+    through = Replay(engine, TlogReader(flown), ranges, report.add_outputs)
+    replay(through, [at_s for at_s in report.observation_times() if at_s <= ends_unix_s], report.observe)
     score = report.score(4)
     assert score is not None
     assert score.epochs > 150
