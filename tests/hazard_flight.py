@@ -28,6 +28,18 @@ DENIED = 4
 """The aircraft in the middle of the four-ship, which loses its GPS in most hazards."""
 _FIRST_FAULT_S = 15.0
 """When the first fault of most flights begins; a flight of which it begins later shares what comes before."""
+FROM_S = 25.0
+"""When a hazard begins that befalls a fleet whose denied vehicle has been located by then."""
+PEER, OTHERS = 1, {2, 3}
+"""The peer that a hazard befalls, and those that nothing befalls."""
+SOUND_M, HONEST = 6.0, 1.5
+"""Limits of the error, in m and in units of the 95 % bound.
+
+The four-ship of sitl_fakes/scenarios/uwb.toml has GPS of 1.5 m with errors that last a minute, ranges of 0.5 m with 3 % outliers,
+and telemetry up to 0.15 s late. Undisturbed, over seeds 1 to 8, the vehicle is located to 4.0 m at the worst, and `SOUND_M` is
+half as much again; and to 1.5 times its 95 % bound at the worst, as the peers' slow errors last a whole flight; with the seed of
+these flights to 0.7 times, so that `HONEST` leaves room for as much again and nothing for a fault.
+"""
 SwitchPrimary = Literal["off", "auto"]
 
 
@@ -129,6 +141,9 @@ def _belief_error_m(sample: Sample) -> float:
 def fault(kind: str, vehicle: int = DENIED, at_s: float = _FIRST_FAULT_S, **more: Any) -> dict[str, Any]:
     """A fault of a scenario; by default it befalls the denied vehicle at 15 s."""
     return {"kind": kind, "vehicle": vehicle, "at_s": at_s, **more}
+
+
+LOST = fault("gps_lost")
 
 
 def fly_through(

@@ -8,12 +8,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.hazard_flight import DENIED, fault, fly_through
-
-HONEST = 1.5
-FROM_S = 25.0
-LOST = fault("gps_lost")
-PEER = 1
+from tests.hazard_flight import DENIED, FROM_S, HONEST, LOST, PEER, fault, fly_through
 
 
 @pytest.mark.parametrize(("vehicle", "by_s"), [(DENIED, 100.0), (PEER, -5.0), (DENIED, -1.0), (PEER, -1.0)])

@@ -6,12 +6,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.hazard_flight import DENIED, fault, fly_through
-
-HONEST = 1.5
-FROM_S = 25.0
-LOST = fault("gps_lost")
-PEER = 1
+from tests.hazard_flight import DENIED, FROM_S, HONEST, LOST, PEER, fault, fly_through
 
 
 @pytest.mark.parametrize("peer", [None, PEER], ids=["all its ranges", "the ranges to one peer"])
