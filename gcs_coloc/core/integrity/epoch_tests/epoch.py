@@ -114,6 +114,19 @@ class EpochArrays:
         return np.asarray(np.diag(self.variances_m2) + self.devices_m[:, np.newaxis] * alike * self.devices_m)
 
 
+@dataclass(frozen=True, slots=True)
+class _Geometry:
+    """What of `EpochArrays` is the same whatever the noise, and the distances (residuals,), m."""
+
+    pairs: tuple[tuple[int, int], ...]
+    vehicles: tuple[int, ...]
+    index: Mapping[int, int]
+    ends: NDArray[np.intp]
+    baselines_m: FloatArray
+    distances_m: FloatArray
+    unit_vectors: FloatArray
+
+
 @dataclass(frozen=True)
 class Epoch:
     """The fleet at one time: position priors and range residuals.
@@ -136,19 +149,33 @@ class Epoch:
     def without_priors(self, vehicles: Collection[int]) -> Epoch:
         """Return the epoch without the horizontal priors of some vehicles; itself where nothing changes."""
         changed = {v: prior._replace(no_prior=True) for v in vehicles if (prior := self.priors.get(v)) and not prior.no_prior}
-        return replace(self, priors={**self.priors, **changed}) if changed else self
+        return self.with_noise({**self.priors, **changed}, self.residuals) if changed else self
+
+    def with_noise(self, priors: Mapping[int, PositionPrior], residuals: tuple[RangeResidual, ...]) -> Epoch:
+        """Return the epoch with priors and residuals that differ by their noise alone.
+
+        The geometry is the same, and is computed once for all of them.
+        """
+        changed = replace(self, priors=priors, residuals=residuals)
+        changed.__dict__["_geometry"] = self._geometry
+        return changed
+
+    @cached_property
+    def _geometry(self) -> _Geometry:
+        pairs = tuple(residual.pair for residual in self.residuals)
+        vehicles = tuple(sorted({v for pair in pairs for v in pair}))
+        index = {vehicle: number for number, vehicle in enumerate(vehicles)}
+        positions = np.array([self.priors[v].position_enu_m for v in vehicles]).reshape(-1, 3)
+        ends = np.array([(index[i], index[j]) for i, j in pairs], dtype=np.intp).reshape(-1, 2).T
+        baselines_m = positions[ends[0]] - positions[ends[1]]
+        distances_m = np.maximum(np.sqrt(np.einsum("ij,ij->i", baselines_m, baselines_m)), MIN_SIGMA_M)
+        return _Geometry(pairs, vehicles, index, ends, baselines_m, distances_m, baselines_m / distances_m[:, np.newaxis])
 
     @cached_property
     def arrays(self) -> EpochArrays:
         """The same as arrays; cached, because the history compares an epoch with many later ones."""
-        pairs = tuple(residual.pair for residual in self.residuals)
-        vehicles = tuple(sorted({v for pair in pairs for v in pair}))
-        index = {vehicle: number for number, vehicle in enumerate(vehicles)}
-        priors = [self.priors[v] for v in vehicles]
-        positions = np.array([prior.position_enu_m for prior in priors]).reshape(-1, 3)
-        ends = np.array([(index[i], index[j]) for i, j in pairs], dtype=np.intp).reshape(-1, 2).T
-        baselines_m = positions[ends[0]] - positions[ends[1]]
-        distances_m = np.maximum(np.sqrt(np.einsum("ij,ij->i", baselines_m, baselines_m)), MIN_SIGMA_M)
+        geometry, distances_m = self._geometry, self._geometry.distances_m
+        priors = [self.priors[v] for v in geometry.vehicles]
         columns = np.array([(r.residual_m, r.sigma_m, r.bias_m, r.devices_m) for r in self.residuals]).reshape(-1, 4).T
         sqrt_information: list[float] = []
         for prior in priors:
@@ -160,14 +187,14 @@ class Epoch:
         biases_m = np.hypot(columns[2], columns[3])
         variances_m2 = columns[1] ** 2 + biases_m**2
         return EpochArrays(
-            pairs=pairs,
-            vehicles=vehicles,
-            index=index,
+            pairs=geometry.pairs,
+            vehicles=geometry.vehicles,
+            index=geometry.index,
             no_prior=tuple(prior.no_prior for prior in priors),
             states_without_prior=np.array(without, dtype=np.intp),
-            ends=ends,
-            baselines_m=baselines_m,
-            unit_vectors=baselines_m / distances_m[:, np.newaxis],
+            ends=geometry.ends,
+            baselines_m=geometry.baselines_m,
+            unit_vectors=geometry.unit_vectors,
             ranges_m=columns[0] + distances_m,
             residuals_m=columns[0],
             variances_m2=variances_m2,

@@ -23,7 +23,7 @@ J. Wang and C. Rizos, Generalised measures of reliability for multiple outliers,
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from math import exp, hypot, inf
@@ -173,7 +173,7 @@ def isolate(now: Epoch, past: Past, troubled: Collection[int] = (), *, pairs_fai
         for vehicle in isolation.isolated
         if vehicle not in troubled
         and (
-            cost_of_two_receivers(now, past, reporting, sound=vehicle) <= limit
+            any(cost <= limit for cost in _costs_of_two_receivers(now, past, reporting, sound=vehicle))
             or (pairs_fail and cost_of_two_pairs(now, past, vehicle) <= limit)
         )
     }
@@ -190,7 +190,7 @@ def isolate(now: Epoch, past: Past, troubled: Collection[int] = (), *, pairs_fai
 def _with_errors_anew(epoch: Epoch) -> Epoch:
     """Return the epoch where the errors of ranges that would last are of this epoch alone."""
     anew = (r._replace(sigma_m=hypot(r.sigma_m, r.bias_m, r.devices_m), bias_m=0.0, devices_m=0.0) for r in epoch.residuals)
-    return replace(epoch, residuals=tuple(anew))
+    return epoch.with_noise(epoch.priors, tuple(anew))
 
 
 def _change_m(now: Epoch, past: Past, model: FaultModel, vehicle: int) -> float:
@@ -210,24 +210,22 @@ def _change_m(now: Epoch, past: Past, model: FaultModel, vehicle: int) -> float:
     return two_offsets.change_m(vehicle)
 
 
-def cost_of_two_receivers(now: Epoch, past: Past, candidates: Sequence[int], *, sound: int | None = None) -> float:
+def cost_of_two_receivers(now: Epoch, past: Past, candidates: Sequence[int]) -> float:
     """Return the least cost of the explanation that two receivers are off, each its own way.
 
-    They are two of the candidates, and `sound` is none of them. Infinite where two are a majority of all: that the majority is
-    right is assumed.
+    They are two of the candidates. Infinite where two are a majority of all: that the majority is right is assumed.
     """
+    return min(_costs_of_two_receivers(now, past, candidates), default=inf)
+
+
+def _costs_of_two_receivers(now: Epoch, past: Past, candidates: Sequence[int], *, sound: int | None = None) -> Iterator[float]:
+    """Yield the cost of each two of the candidates, of which `sound` is none."""
     then, correlation = past
     others = [vehicle for vehicle in candidates if vehicle != sound]
-    two_of_them = combinations(others, 2) if len(candidates) >= _LEAST_WITH_TWO_FAULTY else ()
-    return min(
-        (
-            adjust(now.without_priors(two), [(then.without_priors(two) if then is not None else None, correlation)])[0].statistic
-            + _UNLIKE_PENALTY
-            + _STATION_PENALTY * sum(map(is_station, two))
-            for two in two_of_them
-        ),
-        default=inf,
-    )
+    for two in combinations(others, 2) if len(candidates) >= _LEAST_WITH_TWO_FAULTY else ():
+        before = then.without_priors(two) if then is not None else None
+        [fit] = adjust(now.without_priors(two), [(before, correlation)])
+        yield fit.statistic + _UNLIKE_PENALTY + _STATION_PENALTY * sum(map(is_station, two))
 
 
 def _faulty(explanation: AdjustedHypothesis) -> frozenset[int]:

@@ -64,7 +64,8 @@ def explain_inconsistency(
     clearly_below = fault.cost - RULED_OUT_MARGIN
     if pairs is not None and (more is None or pairs.cost <= more.cost) and (pairs.cost < clearly_below or fault.is_of_one_pair):
         return replace(noise, pairs_off=pairs.pairs, unisolated=pairs.unisolated)
-    if more is not None and more.cost < min(clearly_below, cost_of_two_receivers(epoch, _PRESENT, fault.candidates)):
+    is_clear = more is not None and more.cost < clearly_below
+    if more is not None and is_clear and more.cost < cost_of_two_receivers(epoch, _PRESENT, fault.candidates):
         return more.model
     return replace(noise, unisolated=frozenset(each.vehicles for each in fault.plausible)) if fault.is_range_fault else noise
 

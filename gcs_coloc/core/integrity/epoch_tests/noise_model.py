@@ -101,10 +101,9 @@ class NoiseModel:
         if self.is_as_stated:
             return epoch
         devices_m = np.hypot(self.device_bias_m, self.device_scale * epoch.arrays.ranges_m).tolist()
-        return replace(
-            epoch,
-            priors={vehicle: self.prior(prior) for vehicle, prior in epoch.priors.items()},
-            residuals=tuple(
+        return epoch.with_noise(
+            {vehicle: self.prior(prior) for vehicle, prior in epoch.priors.items()},
+            tuple(
                 r._replace(bias_m=hypot(r.bias_m, self.range_bias_m), devices_m=hypot(r.devices_m, of_devices_m))
                 for r, of_devices_m in zip(epoch.residuals, devices_m, strict=True)
             ),
@@ -225,7 +224,7 @@ def likeliest_noise(epoch: Epoch, present: NoiseModel) -> LikeliestNoise | None:
 def _as_tested(epoch: Epoch) -> Epoch:
     """Return the epoch with the errors of devices independent by pair, as the tests of faults take them."""
     apart = (r._replace(bias_m=hypot(r.bias_m, r.devices_m), devices_m=0.0) for r in epoch.residuals)
-    return replace(epoch, residuals=tuple(apart))
+    return epoch.with_noise(epoch.priors, tuple(apart))
 
 
 def clearly_smaller_noise(epoch: Epoch, present: NoiseModel) -> NoiseModel | None:
@@ -241,7 +240,7 @@ def clearly_smaller_noise(epoch: Epoch, present: NoiseModel) -> NoiseModel | Non
         if outliers is None:
             continue
         coarse = tuple(r._replace(bias_m=_PAIR_OFF_M) if unordered(r.pair) in outliers.pairs else r for r in epoch.residuals)
-        likelihood = restricted_likelihood(model.apply(replace(epoch, residuals=coarse)))
+        likelihood = restricted_likelihood(model.apply(epoch.with_noise(epoch.priors, coarse)))
         cost = likelihood.cost + FURTHER_PAIR_PENALTY * len(outliers.pairs)
         if cost < limit:
             found.append(LikeliestNoise(replace(model, pairs_off=outliers.pairs, unisolated=outliers.unisolated), cost))
