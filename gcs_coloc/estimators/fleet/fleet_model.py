@@ -11,6 +11,7 @@ from dataclasses import replace
 
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
+    AttitudeMeasurement,
     Estimate,
     Measurement,
     NoEstimate,
@@ -327,6 +328,7 @@ class FleetModel:
         alone.records.copy_from(self.records, vehicle)
         if record.last_position.velocity_enu_mps is not None:
             # Filtering the earlier reports too would hardly change the estimate, and this is called often.
-            alone.records[vehicle].own_measurements = ()
+            kept = [m for m in record.own_measurements if m is record.last_position or isinstance(m, AttitudeMeasurement)]
+            alone.records[vehicle].own_measurements = tuple(kept)
         initialise_from_reports(alone.clusters, vehicle, at_s)
         return alone.estimate(vehicle, at_s)

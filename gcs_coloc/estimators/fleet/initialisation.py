@@ -51,7 +51,7 @@ def initialise_from_reports(clusters: ClusterSet, vehicle: int, at_s: float) -> 
     white, coloured = split_report_noise(record, first, s)
     record.time_stamp_offset_sigma_s = time_stamp_offset_sigma_s(first, s)
     (record.report_error_sigma_h_m, record.report_error_sigma_v_m), record.baro_error_sigma_m = coloured, 0.0
-    record.attitude, record.tilt, record.began_on_either_side = None, None, False
+    record.attitude, record.tilt, record.began_on_either_side = _attitude_before(record, first.measured_at_s), None, False
     record.updated_at_s = record.velocity_used_at_s = first.measured_at_s
     # Speeds all over the disc of those that the vehicle reaches.
     speed_sigmas_mps = 0.5 * record.profile.max_speed_mps, record.profile.max_climb_mps
@@ -65,6 +65,13 @@ def initialise_from_reports(clusters: ClusterSet, vehicle: int, at_s: float) -> 
         if m is not first and m.measured_at_s >= first.measured_at_s:
             update_own(cluster, m)
     return True
+
+
+def _attitude_before(record: VehicleRecord, at_s: float) -> AttitudeMeasurement | None:
+    """Return a vehicle's newest attitude until a time; None where it has no airspeed that shows a turn."""
+    attitudes = (m for m in reversed(record.own_measurements) if isinstance(m, AttitudeMeasurement) and m.measured_at_s <= at_s)
+    newest = next(attitudes, None)
+    return newest if newest is not None and usable_airspeed_mps(newest) is not None else None
 
 
 def calibrate_air_data(record: VehicleRecord, report: PositionMeasurement, s: FleetSettings) -> None:
