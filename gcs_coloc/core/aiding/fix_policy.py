@@ -59,7 +59,11 @@ class FixPolicy:
         if isinstance(answer, NoEstimate):
             # Not to be located yet is no loss of a fix: the first one is waited for by the vehicle.
             self._lost = self._lost or (self._had_fix and not own_gps)
-            self._only_too_uncertain &= answer.reason.reason is NoEstimateReason.TOO_UNCERTAIN
+            if self._had_fix:
+                self._only_too_uncertain &= answer.reason.reason is NoEstimateReason.TOO_UNCERTAIN
+            else:
+                # No ranges have ceased from which nothing was predicted yet.
+                self._ranged_at_s = now_s
             self._sound_since_s = None
             return StatedReason(InhibitReason.NO_ESTIMATE, detail=answer.reason.text)
         if own_gps or answer.ranges_in_use > 0:

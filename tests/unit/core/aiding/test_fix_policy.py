@@ -39,6 +39,21 @@ def test_the_first_fix_is_not_waited_for():
     assert asked(policy, [unknown(0.0), unknown(0.1), known(0.2)], 0.0) == ["too few ranges", "too few ranges", None]
 
 
+def test_no_ranges_have_ceased_before_the_first_estimate():
+    """A pilot was told to land now, as a vehicle that had waited for ranges for seconds was located."""
+    policy = FixPolicy(AidingSettings(), 0.0)
+    assert None not in asked(policy, [unknown(0.0)] * 120, 0.0)
+    assert inhibited(policy, known(12.0, ranges=0), 12.0) is None
+    assert policy.prediction_left_s(12.0) == pytest.approx(AidingSettings().prediction_s, abs=0.11)
+
+
+def test_a_level_beyond_the_limit_before_the_first_fix_delays_it_by_a_second():
+    policy = FixPolicy(AidingSettings(), 0.0)
+    assert None not in asked(policy, [unknown(0.0), known(0.1, sigma_m=26.0)], 0.0)
+    words = asked(policy, [known(0.2)] * 20, 0.2)
+    assert words.index(None) / 10 == pytest.approx(1.0, abs=0.11)
+
+
 TOO_UNCERTAIN = NoEstimate(4, 1.0, Unlocated(NoEstimateReason.TOO_UNCERTAIN, 300.0))
 
 
