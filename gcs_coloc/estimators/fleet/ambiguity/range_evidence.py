@@ -27,7 +27,7 @@ from gcs_coloc.estimators.fleet.ambiguity.reflection import (
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
 from gcs_coloc.estimators.fleet.ekf.process_model import ATTITUDE_HELD_S, NOTICED_INTERVAL_S, shows_its_motion
-from gcs_coloc.estimators.fleet.ekf.records import Neighbour, ReflectionEvidence, RefusedRange, UnresolvedOutlier, VehicleRecord
+from gcs_coloc.estimators.fleet.ekf.records import Neighbour, ReflectionEvidence, UnresolvedOutlier, VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import POSITION, pair_key
 from gcs_coloc.estimators.fleet.ekf.update import missed_turn_covariance
 from gcs_coloc.estimators.fleet.settings import FleetSettings
@@ -44,7 +44,6 @@ _INFLATION_KEPT = 0.8
 _LEAST_INFORMATION = 1e-6  # keeps the determinant of the direction matrix positive with one neighbour
 _ENOUGH_RANGES = 2  # chosen: two refused ranges in a row that fit the reflected position open a hypothesis; one may be multipath
 _SMALLER_SHARE = 0.9  # chosen: the ranges after a gap count as informative where they reduced the sigma by a tenth
-_LASTING_SIGMAS = 3.0  # chosen: a range shorter by more than its lasting error may be is none by a detour
 _EITHER_SIDE_SIGMAS = 4.0  # chosen: as the gate; a plane within so many sigmas of the saved estimate leaves both sides possible
 
 
@@ -59,7 +58,6 @@ def monitor_range(cluster: Cluster, vehicle: int, other: int, result: UpdateResu
         interval_s = 0.0 if last is None else last.interval_until_s(m.measured_at_s)
         record.neighbours[other] = Neighbour(m.measured_at_s, result.unit, pair, result.sigma_m, interval_s)
         record.updated_at_s = m.measured_at_s
-        record.refusals = tuple(refusal for refusal in record.refusals if refusal.neighbour != other)
         outlier = record.unresolved_outlier
         if outlier is None or outlier.neighbour == other or _is_resolved(record, outlier, m.measured_at_s, cluster.settings):
             record.cusum = max(record.cusum + _CUSUM_USED, 0.0)
@@ -72,8 +70,6 @@ def monitor_range(cluster: Cluster, vehicle: int, other: int, result: UpdateResu
     record.refused_innovation_m2 = kept * record.refused_innovation_m2 + (1.0 - kept) * square
     record.cusum += _CUSUM_REFUSED
     refused = _outlier(other, result)
-    others = (refusal for refusal in record.refusals if refusal.neighbour != other)
-    record.refusals = (*others, _refusal(record, other, result, m))
     record.unresolved_outlier = None if _is_resolved(record, refused, m.measured_at_s, cluster.settings) else refused
     if record.cusum > _CUSUM_LIMIT:
         # The first ranges after the inflation may be the wrong ones: their noise is inflated too, until some have agreed.
@@ -86,19 +82,14 @@ def monitor_range(cluster: Cluster, vehicle: int, other: int, result: UpdateResu
 def add_missed_turn(cluster: Cluster, vehicle: int, other: int, refused: UpdateResult, m: RangeMeasurement) -> bool:
     """Add a turn, eq. (20), where the ranges of two neighbours tell of one; return whether.
 
-    A denied vehicle without fresh attitude turns unseen where ranges come seldom. Two ranges may be off themselves: they tell of
-    a turn where one of them is shorter than any detour makes it, or where the ranges in use are too old to contradict them.
+    A denied vehicle without fresh attitude turns unseen where ranges come seldom. One refused range may be off itself; with one
+    of another neighbour just before, and none in use that is young enough to contradict both, the way is wrong.
     """
     record, s, at_s = cluster.records[vehicle], cluster.settings, m.measured_at_s
     last, before = record.neighbours.get(other), record.unresolved_outlier
     if last is None or at_s - last.at_s <= NOTICED_INTERVAL_S or shows_its_motion(record, s, at_s):
         return False
-    also = [each for each in record.refusals if each.neighbour != other and at_s - each.at_s <= record.in_use_s(each.neighbour)]
-    if not also:
-        return False
-    is_too_short = _refusal(record, other, refused, m).is_too_short or any(each.is_too_short for each in also)
-    may_be_both = before is None or before.neighbour == other or _is_resolved(record, _outlier(other, refused), at_s, s)
-    if may_be_both and not is_too_short:
+    if before is None or before.neighbour == other or _is_resolved(record, _outlier(other, refused), at_s, s):
         return False
     # The turn may have begun as long before the last range that fitted.
     since_s, most_mps2 = min(2.0 * (at_s - last.at_s), ATTITUDE_HELD_S), record.profile.max_acceleration_mps2
@@ -106,12 +97,6 @@ def add_missed_turn(cluster: Cluster, vehicle: int, other: int, refused: UpdateR
         return False
     cluster.joint.covariance(vehicle)[:6, :6] += missed_turn_covariance(since_s, most_mps2)
     return True
-
-
-def _refusal(record: VehicleRecord, other: int, refused: UpdateResult, m: RangeMeasurement) -> RefusedRange:
-    error = record.lasting_error((other, m.device_id))
-    lasting_m = 0.0 if error is None else _LASTING_SIGMAS * error.sigma_m
-    return RefusedRange(other, m.measured_at_s, refused.innovation_m < -lasting_m)
 
 
 def _outlier(neighbour: int, refused: UpdateResult) -> UnresolvedOutlier:

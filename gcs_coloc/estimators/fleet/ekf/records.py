@@ -53,14 +53,6 @@ class UnresolvedOutlier(NamedTuple):
     nis: float
 
 
-class RefusedRange(NamedTuple):
-    """The last range with a neighbour, which was refused, and whether it is too short for a detour."""
-
-    neighbour: int
-    at_s: float
-    is_too_short: bool
-
-
 class ReflectionEvidence(NamedTuple):
     """Refused ranges in a row that fit the reflected position of a denied vehicle.
 
@@ -171,8 +163,6 @@ class VehicleRecord:
     cusum: float = 0.0
     """CUSUM statistic of refused against used ranges, eq. (21): evidence that the state is wrong."""
     unresolved_outlier: UnresolvedOutlier | None = None
-    refusals: tuple[RefusedRange, ...] = ()
-    """Of the neighbours whose last range was refused."""
     reflection_evidence: ReflectionEvidence | None = None
     refused_innovation_m2: float = 0.0
     """Mean squared innovation of the refused ranges, m^2."""
@@ -217,7 +207,6 @@ class VehicleRecord:
         """Forget what tests of ranges have shown of the states so far: others begin."""
         self.cusum = self.range_noise_inflation_m2 = 0.0
         self.unresolved_outlier = self.reflection_evidence = self.bias_window = None
-        self.refusals = ()
 
     def in_use_s(self, neighbour: int) -> float:
         """Return how long after its last range a neighbour is in use."""

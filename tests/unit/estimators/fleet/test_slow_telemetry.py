@@ -46,7 +46,7 @@ def multirotor(course_rad):
     return ways
 
 
-def errors_and_bounds_m(vehicle, ways, seed, *, has_attitude=False):
+def errors_and_bounds_m(vehicle, ways, seed, *, has_attitude=False, peers_m=PEERS_M):
     """Fly it; return the error of the estimate and its 95 % bound since the loss, m, five times a second."""
     rng, found, estimator = np.random.default_rng(seed), [], FleetFilter()
     estimator.add(VehicleClassReport(DENIED, 0.0, 0.0, vehicle))
@@ -55,14 +55,14 @@ def errors_and_bounds_m(vehicle, ways, seed, *, has_attitude=False):
         if k == round(LOST_S / STEP_S):
             estimator.set_denied({DENIED}, t)
         if k % 4 == 0:
-            for peer, at_m in PEERS_M.items():
+            for peer, at_m in peers_m.items():
                 estimator.add(PositionMeasurement(peer, t, t, (*at_m, 100.0), 1.0, 1.5, (0.0, 0.0, 0.0), 0.3))
             if t < LOST_S:
                 own_m, own_mps = (*place.tolist(), 100.0), (*velocity.tolist(), 0.0)
                 estimator.add(PositionMeasurement(DENIED, t, t, own_m, 1.0, 1.5, own_mps, 0.3))
         if has_attitude and k % 20 == 0:
             estimator.add(AttitudeMeasurement(DENIED, t, t, bank, 0.0, heading, SPEED_MPS))
-        for peer, at_m in PEERS_M.items():
+        for peer, at_m in peers_m.items():
             if k % 20 == 4 * peer - 1:
                 range_m = math.hypot(*(place - at_m)) + rng.normal()
                 estimator.add(RangeMeasurement(DENIED, peer, t, t, range_m, 1.0))
@@ -113,10 +113,11 @@ def test_ranges_once_a_second_show_a_turn_without_attitude(seed):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_ranges_of_two_neighbours_show_a_steep_turn_without_attitude(seed):
-    """Every other range was outside the gate: 66 to 75 m off, as long as the turn lasted."""
-    off_m, bound_m = errors_and_bounds_m(VehicleClass.PLANE, plane(math.radians(62.0)), seed)
-    assert off_m.max() < 35.0
-    assert (off_m < 3.0 * bound_m).mean() > 0.97
+    """Every other range was outside the gate: 107 to 151 m off, as long as the turn lasted."""
+    three_m = {peer: at_m for peer, at_m in PEERS_M.items() if peer <= 3}
+    off_m, bound_m = errors_and_bounds_m(VehicleClass.PLANE, plane(math.radians(62.0)), seed, peers_m=three_m)
+    assert off_m.max() < 55.0
+    assert (off_m < 3.0 * bound_m).mean() > 0.96
 
 
 @pytest.mark.parametrize("seed", range(4))
