@@ -6,6 +6,7 @@ Ranges alone need a multilateration.
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from gcs_coloc.core.reasons import StatedReason
 from gcs_coloc.estimators.fleet.ekf.air_data import EVERY_S, AirCalibration, GroundVelocity, steady_air_m2
 from gcs_coloc.estimators.fleet.ekf.cluster import ClusterSet
 from gcs_coloc.estimators.fleet.ekf.possible_motion import BOUND_95_SIGMAS
-from gcs_coloc.estimators.fleet.ekf.process_model import acceleration_density_m2ps3, turn_rate_radps, usable_airspeed_mps
+from gcs_coloc.estimators.fleet.ekf.process_model import GAP_S, acceleration_density_m2ps3, turn_rate_radps, usable_airspeed_mps
 from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import (
     HEADING_ERROR,
@@ -27,11 +28,15 @@ from gcs_coloc.estimators.fleet.ekf.state import (
     VELOCITY,
     WIND,
 )
+from gcs_coloc.estimators.fleet.ekf.tilt import GRAVITY_MPS2
 from gcs_coloc.estimators.fleet.ekf.update import split_report_noise, time_stamp_offset_sigma_s, update_own
-from gcs_coloc.estimators.fleet.search.multilateration import MultilaterationProblem, solve_multilateration
+from gcs_coloc.estimators.fleet.search.multilateration import FlownThroughAir, MultilaterationProblem, solve_multilateration
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 _AIR = slice(WIND.start, HEADING_ERROR + 1)
+_UNSHOWN_MPS2 = 1.5  # chosen: 1-sigma of the acceleration in gusts and changes of speed
+_HEADING_ERROR_RAD = 0.35
+"""Chosen: 20 degrees, a compass beside currents; it turns the velocity through the air, and so each acceleration."""
 _TRY_EVERY_S = 0.5
 """Chosen: one multilateration costs some milliseconds."""
 
@@ -137,7 +142,8 @@ def _multilateration_problem(
     """Return the recent ranges of a vehicle to others whose positions are known, and its own heights."""
     records, s = clusters.records, clusters.settings
     # An acceleration of the most in an unknown direction.
-    problem = MultilaterationProblem(at_s, records[vehicle].profile.max_acceleration_mps2 / math.sqrt(2.0))
+    most_mps2 = records[vehicle].profile.max_acceleration_mps2 / math.sqrt(2.0)
+    problem = MultilaterationProblem(at_s, most_mps2, _flown_through_air(records[vehicle], at_s, s))
     for m in records[vehicle].recent_ranges:
         peer = m.other_end(vehicle)
         if records[peer].denied_vehicle:
@@ -157,6 +163,25 @@ def _multilateration_problem(
         if isinstance(own, AltitudeMeasurement):
             problem.add_altitude(own)
     return problem
+
+
+def _flown_through_air(record: VehicleRecord, at_s: float, s: FleetSettings) -> FlownThroughAir | None:
+    """Return how a vehicle flew through the air since its first recent range; None where it is not known."""
+    first_s = min(m.measured_at_s for m in record.recent_ranges)
+    attitudes = [m for m in record.own_measurements if isinstance(m, AttitudeMeasurement) and m.measured_at_s >= first_s - GAP_S]
+    times_s = [first_s, *[m.measured_at_s for m in attitudes], at_s]
+    speeds_mps = [usable_airspeed_mps(m) for m in attitudes]
+    if not attitudes or None in speeds_mps or max(b - a for a, b in pairwise(sorted(times_s))) > GAP_S:
+        return None
+    headings = [(math.sin(m.yaw_rad), math.cos(m.yaw_rad)) for m in attitudes]
+    level_mps = np.array(speeds_mps, dtype=np.float64) * [math.cos(m.pitch_rad) for m in attitudes]
+    turns_mps2 = GRAVITY_MPS2 * math.tan(max(abs(m.roll_rad) for m in attitudes))
+    return FlownThroughAir(
+        np.array([m.measured_at_s for m in attitudes]) - at_s,
+        level_mps[:, np.newaxis] * np.array(headings),
+        _UNSHOWN_MPS2 + _HEADING_ERROR_RAD * turns_mps2,
+        math.hypot(s.wind_sigma_mps, _HEADING_ERROR_RAD * float(level_mps.max())),
+    )
 
 
 def _located(clusters: ClusterSet, vehicle: int) -> PositionMeasurement | None:

@@ -1,15 +1,16 @@
 """Multilateration: position and velocity from ranges alone, eq. (26).
 
 It is a robust least squares fit from many starting points. The vehicle may turn meanwhile: its accelerations are solved for as
-well, each about zero with what its class can do. Few or badly placed peers allow a reflected solution. Where altitude
-and motion do not decide, the position is ambiguous; only a reflection straight above or below is returned, as one position with
-an open height.
+well, each about zero with what its class can do. What its air data show of its turns is known. Few or badly placed peers allow a
+reflected solution. Where altitude and motion do not decide, the position is ambiguous; only a reflection straight above or below
+is returned, as one position with an open height.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,14 +46,42 @@ _STRETCH_S = 1.0  # chosen: the acceleration is constant so long; a roll from on
 _ROUGH_MOST_SIGMAS = 50.0  # chosen: bounds the residuals in the ranking of starting points
 
 
+class FlownThroughAir(NamedTuple):
+    """How a vehicle flew through the air, by its headings and airspeeds.
+
+    `times_s` (n,) count from the time of the problem, `velocities_mps` (n, 2) are east and north. `error_sigma_mps2`: that of an
+    acceleration which they do not show; `drift_sigma_mps`: that of the wind and of a wrong heading.
+    """
+
+    times_s: FloatArray
+    velocities_mps: FloatArray
+    error_sigma_mps2: float
+    drift_sigma_mps: float
+
+    def at(self, times_s: FloatArray) -> FloatArray:
+        """Return the velocities (m, 2) at some times, m/s."""
+        return np.column_stack([np.interp(times_s, self.times_s, each) for each in self.velocities_mps.T])
+
+    def ways_m(self, times_s: FloatArray) -> FloatArray:
+        """Return from where (m, 2) it has come through the air since some times, m."""
+        knots_s = np.unique(np.concatenate([times_s, self.times_s, [0.0]]))
+        speeds = self.at(knots_s)
+        steps_m = 0.5 * (speeds[1:] + speeds[:-1]) * np.diff(knots_s)[:, np.newaxis]
+        gone_m = np.concatenate([np.zeros((1, 2)), np.cumsum(steps_m, axis=0)])
+        index = np.searchsorted(knots_s, times_s)
+        return np.asarray(gone_m[index] - gone_m[np.searchsorted(knots_s, 0.0)])
+
+
 class MultilaterationProblem:
     """A denied vehicle's recent ranges, its peers' positions then, its heights; times count from `at_s`.
 
-    `acceleration_sigma_mps2`: that of the vehicle meanwhile, east and north.
+    `acceleration_sigma_mps2`: that of the vehicle meanwhile, east and north. Where it is known how it has `flown` through the
+    air, only what that does not show is left of it, and the wind of its velocity.
     """
 
-    def __init__(self, at_s: float, acceleration_sigma_mps2: float) -> None:
-        self.at_s, self.acceleration_sigma_mps2 = at_s, acceleration_sigma_mps2
+    def __init__(self, at_s: float, acceleration_sigma_mps2: float, flown: FlownThroughAir | None = None) -> None:
+        self.at_s, self.flown = at_s, flown
+        self.acceleration_sigma_mps2 = acceleration_sigma_mps2 if flown is None else flown.error_sigma_mps2
         self._rows: list[tuple[int, float, float, float, float, float, float, float]] = []
         self._heights: list[tuple[float, float, float]] = []
 
@@ -91,12 +120,16 @@ class MultilaterationProblem:
         The sigmas are inflated so that the coloured error of a peer counts once in all its ranges.
         """
         counts = self.peers()
-        return np.array(
+        rows = np.array(
             [
                 (t, e, n, u, r, math.sqrt(sigma**2 + counts[peer] * peer_sigma**2))
                 for peer, t, e, n, u, r, sigma, peer_sigma in self._rows
             ]
         )
+        if self.flown is not None:
+            # As seen from where the air has carried it: there it only drifts.
+            rows[:, 1:3] -= self.flown.ways_m(rows[:, 0])
+        return rows
 
     def straight_m2(self) -> float:
         """Return the variance up to which a height is known well enough to linearise ranges, m^2.
@@ -124,9 +157,11 @@ class MultilaterationProblem:
         for i in range(stretches):
             ended, began = np.maximum(-i * _STRETCH_S - t, 0.0), np.maximum(-(i + 1) * _STRETCH_S - t, 0.0)
             place[:, 0, 6 + 2 * i] = place[:, 1, 7 + 2 * i] = 0.5 * (ended**2 - began**2)
-        return place, np.array(
-            [math.inf, math.inf, _HEIGHT_PRIOR_M, *_VELOCITY_PRIOR_MPS, *[self.acceleration_sigma_mps2] * (2 * stretches)]
-        )
+        east_mps, north_mps, up_mps = _VELOCITY_PRIOR_MPS
+        if self.flown is not None:
+            east_mps = north_mps = self.flown.drift_sigma_mps
+        accelerations = [self.acceleration_sigma_mps2] * (2 * stretches)
+        return place, np.array([math.inf, math.inf, _HEIGHT_PRIOR_M, east_mps, north_mps, up_mps, *accelerations])
 
 
 def _slope(past: list[PositionMeasurement]) -> tuple[float, float, float]:
@@ -161,6 +196,8 @@ def solve_multilateration(problem: MultilaterationProblem, limit_sigma_m: float)
     if worst_m > limit_sigma_m:
         return Unlocated(NoEstimateReason.UNDETERMINED, worst_m)
     mean = x[best, :6]
+    if problem.flown is not None:
+        mean[3:5] += problem.flown.at(np.zeros(1))[0]
     for other in np.flatnonzero(cost < cost[best] + _CLEARLY_WORSE):
         d = x[other, :6] - x[best, :6]
         apart = d[:2] @ np.linalg.solve(covariance[:2, :2], d[:2])

@@ -13,7 +13,7 @@ from gcs_coloc.core.measurements import (
     Unlocated,
 )
 from gcs_coloc.core.reasons import StatedReason
-from gcs_coloc.estimators.fleet.search.multilateration import MultilaterationProblem, solve_multilateration
+from gcs_coloc.estimators.fleet.search.multilateration import FlownThroughAir, MultilaterationProblem, solve_multilateration
 
 LIMIT_M = 200.0
 TURNS_MPS2 = 6.9
@@ -134,3 +134,32 @@ def test_ranges_that_contradict_each_other_start_nothing():
 def test_one_peer_is_waited_upon():
     one_peer = problem((600.0, 500.0, 150.0), PEERS[:1])
     assert solve_multilateration(one_peer, LIMIT_M) == Unlocated(NoEstimateReason.FEW_RANGES, 20, 1)
+
+
+def turned_beside_two_peers(flown, seed):
+    """Ranges of 0.3 m at 5 Hz to two peers at rest in 4 s of a turn of 30 degrees of bank at 20 m/s, in a wind of 5 m/s."""
+    rng, p = np.random.default_rng(seed), MultilaterationProblem(0.0, TURNS_MPS2, flown)
+    for t in np.arange(-3.9, 0.0, 0.2).tolist():
+        here = turning((600.0, 500.0, 150.0), 0.1, 0.28, t)[0] + [5.0 * t, 0.0, 0.0]
+        p.add_altitude(AltitudeMeasurement(9, t, t, 150.0 + rng.normal(), 1.0))
+        for i, peer in enumerate(PEERS[:2]):
+            report = PositionMeasurement(i, t, t, peer, 0.3, 0.3, (0.0, 0.0, 0.0), 0.2)
+            p.add_range(
+                i, report, [report], RangeMeasurement(9, i, t, t, math.dist(here, peer) + 0.3 * rng.normal(), 0.3), 0.0, 0.0
+            )
+    return solve_multilateration(p, LIMIT_M)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_air_data_of_a_turn_tell_the_side_of_two_peers(seed):
+    """On the other side it would have flown the other way, and turned to the other hand."""
+    without = turned_beside_two_peers(None, seed)
+    assert isinstance(without, StatedReason)
+    assert without.reason is NoEstimateReason.OTHER_PLACE
+    times_s = np.arange(-4.2, 0.1, 0.25)
+    courses_rad = 0.1 + 0.28 * times_s
+    velocities = 20.0 * np.column_stack([np.sin(courses_rad), np.cos(courses_rad)])
+    mean, covariance = turned_beside_two_peers(FlownThroughAir(times_s, velocities, 3.5, 10.0), seed)
+    error = mean[:2] - (600.0, 500.0)
+    assert float(error @ np.linalg.solve(covariance[:2, :2], error)) < 13.8  # 99.9 % of chi-square with 2
+    assert np.linalg.norm(mean[3:5] - (20.0 * math.sin(0.1) + 5.0, 20.0 * math.cos(0.1))) < 8.0
