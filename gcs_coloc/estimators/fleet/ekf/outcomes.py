@@ -36,7 +36,8 @@ class Outcome(StrEnum):
     USED_TILT = "used: tilt of a multirotor"
     """Without airspeed it tells the acceleration of a multirotor."""
     KEPT_NO_AIRSPEED = "kept: attitude without airspeed"
-    """Without airspeed, or banked too steeply, an attitude says nothing of the velocity."""
+    """Without airspeed, or banked too steeply, an attitude says nothing of the velocity; nor does the tilt of a multirotor soon
+    after another."""
     REFUSED_IMPOSSIBLE = "refused: impossible value"
     """A value is not finite, a sigma not positive, a range negative, or both ends of a range the same vehicle."""
     REFUSED_TOO_LATE = "refused: too late"
