@@ -47,7 +47,10 @@ class Flying:
 
 @dataclass
 class ReadyFleet:
-    """Vehicles on straight ways; vehicle 1 ranges the others five times a second while they are in `ranged`."""
+    """Vehicles on straight ways; vehicle 1 ranges the others five times a second while they are in `ranged`.
+
+    `every`: of how many fifths of a second one has messages.
+    """
 
     vehicles: Mapping[int, Flying]
     h_acc_m: float = 1.0
@@ -55,6 +58,7 @@ class ReadyFleet:
     max_range_m: float = 1e5
     armed: bool = True
     winged: bool = True
+    every: int = 1
     seed: int = 1
     settings: EngineSettings = field(default_factory=lambda: EngineSettings(request_streams=False))
     estimator: Estimator = field(default_factory=FleetFilter)
@@ -72,7 +76,7 @@ class ReadyFleet:
     def fly(self, until_s: float) -> VehicleReadiness | None:
         """Fly on; return the readiness of vehicle 1. All that was stated of it is in `seen`."""
         while self.t < until_s - 1e-9:
-            for message in self._messages():
+            for message in self._messages() if round(self.t * 5) % self.every == 0 else ():
                 self.engine.receive(message)
             while self.engine.next_deadline() < self.t + 0.2:
                 self.outputs += self.engine.poll(max(self.engine.next_deadline(), self.t))

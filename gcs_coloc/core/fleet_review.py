@@ -31,14 +31,19 @@ from gcs_coloc.core.telemetry.reported_state import AIR_DATA_FRESH_S, ReportedSt
 
 _AIR_DATA_REFUSED = "its airspeed and heading contradict its way over ground: not used; is its pitot tube clear?"
 _AIR_DATA_USED = "its airspeed and heading agree with its way over ground again: used"
+_REPORT_SHOWS_S = 3.0  # chosen: a vehicle can have moved by 44 m since then, at 1 g from its course; later it shows nothing
 _WITNESS_AFTER_S = STEADY_S  # a vehicle that has just appeared has shown nothing yet; a window of ranges takes 1.4 s
 
 
 @dataclass(slots=True)
 class _Vehicle:
-    """What was decided last about the aiding of one vehicle, and where it is located (east, north)."""
+    """What was decided last about the aiding of one vehicle, and where it is located (east, north).
+
+    `reported_at_s`: when it last said how it moves while it was trusted, service time in s; None where its state is newer.
+    """
 
     decision: AidingDecision = field(default_factory=AidingDecision)
+    reported_at_s: float | None = None
     located_enu_m: tuple[float, float] | None = None
 
 
@@ -94,8 +99,8 @@ class FleetReview:
     def _shown_until_s(self, where: Estimate) -> float | None:
         """Return until when it is shown how a vehicle has moved, s; None where nothing shows it.
 
-        Attitude with airspeed that the estimator has used shows it, and so do the reported positions of a trusted vehicle. The
-        time is service time.
+        Attitude with airspeed that the estimator has used shows it, and so do the reported positions of a trusted vehicle: the
+        last of them after its loss as well, until ranges show its motion. The time is service time.
         """
         s, times_s = self._stages, []
         vehicle, attitude_at_s = s.telemetry.get(where.vehicle), s.measurements.attitude_at_s(where.vehicle)
@@ -105,8 +110,11 @@ class FleetReview:
             if where.at_s - used_at_s <= AIR_DATA_FRESH_S:
                 times_s.append(used_at_s)
         reported = s.measurements.reported(where.vehicle)
+        kept_at_s = self._vehicles.get(where.vehicle, _NOT_REVIEWED).reported_at_s
         if reported is not None and self._is_trusted(where.vehicle):
             times_s.append(reported.measured_at_s)
+        elif kept_at_s is not None and where.at_s - kept_at_s <= _REPORT_SHOWS_S:
+            times_s.append(kept_at_s)
         return max(times_s, default=None)
 
     def add_residuals(self, residuals: Iterable[Residual], now_s: float) -> None:
@@ -168,7 +176,7 @@ class FleetReview:
         reviewed = [*(self._reviewed(vehicle, now_s) for vehicle in self._stages.telemetry), *stations]
         before, self.report = self.report, self._stages.integrity.review(now_s, reviewed, self._stages.measurements.frame)
         for sysid in self.report.diverged:
-            self._stages.estimator.reset(sysid, now_s)
+            self._reset(sysid, now_s)
         text = "its GPS is back and fits the ranges, our position did not: located anew"
         diverged = [Notice(now_s, sysid, "warning", text) for sysid in self.report.diverged]
         return [*out, *diverged, *self._air_data_notices(reviewed, now_s), *self.stations.update(before, self.report, now_s)]
@@ -191,6 +199,9 @@ class FleetReview:
         before = health.state
         if health.update(self._gps_evidence(vehicle), now_s):
             out.append(HealthChanged(now_s, sysid, before.value, health.state.value, health.reason.text))
+        reported = self._stages.measurements.reported(sysid)
+        if reported is not None and self._is_trusted(sysid):
+            self._vehicles[sysid].reported_at_s = reported.measured_at_s
         out += self.decide_aiding(vehicle, now_s)
         self._update_denied(sysid, now_s)
         return out
@@ -302,7 +313,11 @@ class FleetReview:
         self._stages.estimator.set_denied(self._denied, now_s)
         if is_denied and sysid in self.report.faults:
             # What it reported of late is in its state: it must start anew, from the ranges alone.
-            self._stages.estimator.reset(sysid, now_s)
+            self._reset(sysid, now_s)
+
+    def _reset(self, sysid: int, now_s: float) -> None:
+        self._stages.estimator.reset(sysid, now_s)
+        self._vehicles[sysid].reported_at_s = None
 
     def _is_trusted_node(self, node: int) -> bool:
         """Return whether the position of a vehicle or station is evidence, and nothing contradicts it."""
