@@ -6,6 +6,7 @@ Ranges alone need a multilateration.
 from __future__ import annotations
 
 import math
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -28,7 +29,7 @@ from gcs_coloc.estimators.fleet.ekf.state import (
     VELOCITY,
     WIND,
 )
-from gcs_coloc.estimators.fleet.ekf.tilt import GRAVITY_MPS2
+from gcs_coloc.estimators.fleet.ekf.tilt import GRAVITY_MPS2, tilted_velocity_mps
 from gcs_coloc.estimators.fleet.ekf.update import split_report_noise, time_stamp_offset_sigma_s, update_own
 from gcs_coloc.estimators.fleet.search.multilateration import FlownThroughAir, MultilaterationProblem, solve_multilateration
 from gcs_coloc.estimators.fleet.settings import FleetSettings
@@ -101,7 +102,16 @@ def learn_manoeuvres(record: VehicleRecord, report: PositionMeasurement, s: Flee
     """Learn from the report of a vehicle without states how hard its manoeuvres are, eq. (41)."""
     if report.velocity_enu_mps is not None:
         _, density_m2ps3 = acceleration_density_m2ps3(*report.velocity_enu_mps[:2], s)
-        record.manoeuvre_noise.learn_from_report(report, density_m2ps3, s.noise_level_time_s, record.profile.noise_levels[1])
+        most = record.profile.noise_levels[1]
+        record.manoeuvre_noise.learn_from_report(
+            report, density_m2ps3, s.noise_level_time_s, most, partial(_told_by_tilt, record)
+        )
+
+
+def _told_by_tilt(record: VehicleRecord, from_s: float, to_s: float) -> tuple[float, float]:
+    """Return by how much a vehicle's velocity changed between two times by its tilt, east and north, m/s."""
+    attitudes = [m for m in record.own_measurements if isinstance(m, AttitudeMeasurement)] if record.profile.tilts else []
+    return tilted_velocity_mps(attitudes, from_s, to_s)
 
 
 def initialise_from_ranges(clusters: ClusterSet, vehicle: int, at_s: float, open_sides: frozenset[int]) -> bool:

@@ -9,7 +9,7 @@ makes a filter overconfident within seconds; so whiteness has to be proven, and 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from operator import attrgetter
 
@@ -215,11 +215,18 @@ class NoiseLevel:
     corrections: ManoeuvreDetector = field(default_factory=ManoeuvreDetector)
     compared: PositionMeasurement | None = None
     """The last report whose velocity was compared with that of an earlier one."""
+    shown_log_level: float = -math.inf
+    """The same of all that its reports showed, with what its tilt tells of it."""
 
     @property
     def level(self) -> float:
         """The factor of the variances."""
         return math.exp(self.log_level)
+
+    @property
+    def untold_level(self) -> float:
+        """The factor of the variances while no tilt tells of its manoeuvres."""
+        return math.exp(max(self.log_level, self.shown_log_level))
 
     def learn(self, at_s: float, time_s: float, bounds: tuple[float, float]) -> None:
         """Adjust the level, within its bounds, by how much the corrections until now exceed their prediction."""
@@ -228,11 +235,19 @@ class NoiseLevel:
             ratio = min(self.corrections.ratio(), _MOST_RATIO)
             self.log_level = learned_log_level(self.log_level, ratio, since_s, time_s, bounds)
 
-    def learn_from_report(self, m: PositionMeasurement, density_m2ps3: float, time_s: float, most: float) -> None:
+    def learn_from_report(
+        self,
+        m: PositionMeasurement,
+        density_m2ps3: float,
+        time_s: float,
+        most: float,
+        told_mps: Callable[[float, float], tuple[float, float]],
+    ) -> None:
         """Adjust the level of a vehicle without states by the velocity that it reports, eq. (41).
 
         The change of that velocity since an earlier report is compared with its prediction. The level rises to `most` at most.
-        `density_m2ps3` is that of its white acceleration at level 1, eq. (8).
+        `density_m2ps3` is that of its white acceleration at level 1, eq. (8). `told_mps` returns by how much the velocity changed
+        between two times by the vehicle's tilt, east and north.
         """
         if m.velocity_enu_mps is None or m.sigma_velocity_mps is None:
             return
@@ -244,10 +259,16 @@ class NoiseLevel:
         if before is None or before.velocity_enu_mps is None or since_s > _LONGEST_COMPARED_S:
             return
         (e, n, _), (e_before, n_before, _) = m.velocity_enu_mps, before.velocity_enu_mps
-        square_m2ps2 = 0.5 * ((e - e_before) ** 2 + (n - n_before) ** 2)
-        ratio = square_m2ps2 / (self.level * density_m2ps3 * since_s + 2.0 * m.sigma_velocity_mps**2)
-        self.log_level = learned_log_level(self.log_level, min(ratio, _MOST_RATIO), since_s, time_s, (_LEAST_LEVEL, most))
+        noise_m2ps2, bounds = 2.0 * m.sigma_velocity_mps**2, (_LEAST_LEVEL, most)
+
+        def learned(log_level: float, told: tuple[float, float]) -> float:
+            square_m2ps2 = 0.5 * ((e - e_before - told[0]) ** 2 + (n - n_before - told[1]) ** 2)
+            ratio = square_m2ps2 / (math.exp(log_level) * density_m2ps3 * since_s + noise_m2ps2)
+            return learned_log_level(log_level, min(ratio, _MOST_RATIO), since_s, time_s, bounds)
+
+        self.shown_log_level = learned(max(self.shown_log_level, 0.0), (0.0, 0.0))
+        self.log_level = learned(self.log_level, told_mps(before.measured_at_s, m.measured_at_s))
 
     def copy(self) -> NoiseLevel:
         """Return an independent copy."""
-        return NoiseLevel(self.log_level, self.corrections.copy(), self.compared)
+        return NoiseLevel(self.log_level, self.corrections.copy(), self.compared, self.shown_log_level)

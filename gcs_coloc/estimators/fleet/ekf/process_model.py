@@ -101,7 +101,7 @@ def set_transition(
     lasting_s = math.copysign(s.turn_time_s * -math.expm1(-length / s.turn_time_s), step_s)
     attitude, measured = held_attitude(record, s, at_s), False
     is_fresh = fresh_attitude(record, s, at_s) is not None
-    airspeed_mps, across_mps2, uneven, gusts = None, 0.0, 0.0, 0.0
+    airspeed_mps, across_mps2, uneven, gusts, tilt_share = None, 0.0, 0.0, 0.0, 0.0
     level = record.gust_noise.level
     if attitude is not None:
         airspeed_mps = attitude.airspeed_mps
@@ -114,7 +114,9 @@ def set_transition(
     if is_fresh and airspeed_mps is not None:
         density = gusts
     else:
-        level = min(record.manoeuvre_noise.level, _most_level(record, P))
+        tilt_share = record.tilt.held_share(at_s - step_s, at_s) if record.tilt is not None else 0.0
+        manoeuvres = record.manoeuvre_noise
+        level = min(manoeuvres.level if tilt_share > 0.0 else manoeuvres.untold_level, _most_level(record, P))
         density = max(_late_level(level, record) * density, gusts)
         if measured := has_fresh_odometry(record, s, at_s):
             # What is left to chance is slip: odometry measures the turn, and the speed ten times as fast as it changes.
@@ -130,10 +132,10 @@ def set_transition(
         transition.set_turn_column(step_s, lasting_s, mean[3], mean[4])
         if attitude is not None:
             mean = _accelerated(mean, across_mps2 * math.cos(attitude.yaw_rad), -across_mps2 * math.sin(attitude.yaw_rad), step_s)
-        elif record.tilt is not None and (share := record.tilt.held_share(at_s - step_s, at_s)) > 0.0:
+        elif record.tilt is not None and tilt_share > 0.0:
             east_mps2, north_mps2 = record.tilt.acceleration_mps2
-            mean = _accelerated(mean, share * east_mps2, share * north_mps2, step_s)
-            uneven = share * record.tilt.error_density_m2ps3
+            mean = _accelerated(mean, tilt_share * east_mps2, tilt_share * north_mps2, step_s)
+            uneven = tilt_share * record.tilt.error_density_m2ps3
         if record.denied_vehicle and at_s - record.updated_at_s > GAP_S and not measured:
             # Eq. (28): no vehicle becomes ever faster. Turns such as it has shown make it no faster than it was.
             limits = record.profile
@@ -197,7 +199,7 @@ def shown_acceleration_mps2(record: VehicleRecord, s: FleetSettings) -> float:
     """Return the 95 % bound of the shown acceleration, eq. (36); infinite where manoeuvres do not recur."""
     if not record.profile.is_recurring:
         return math.inf
-    return BOUND_95_SIGMAS * math.sqrt(record.manoeuvre_noise.level * s.low_speed_density_m2ps3 / (2.0 * _MANOEUVRE_S))
+    return BOUND_95_SIGMAS * math.sqrt(record.manoeuvre_noise.untold_level * s.low_speed_density_m2ps3 / (2.0 * _MANOEUVRE_S))
 
 
 def held_attitude(record: VehicleRecord, s: FleetSettings, at_s: float) -> AttitudeMeasurement | None:

@@ -8,6 +8,7 @@ What differs from that mean is acceleration.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -76,6 +77,25 @@ def tilt_after(before: Tilt | None, m: AttitudeMeasurement) -> Tilt:
     mean_east += fresh * (0.5 * (before.east_mps2 + east) - mean_east)
     mean_north += fresh * (0.5 * (before.north_mps2 + north) - mean_north)
     return Tilt(m.measured_at_s, east, north, mean_east, mean_north)
+
+
+def tilted_velocity_mps(attitudes: Sequence[AttitudeMeasurement], from_s: float, to_s: float) -> tuple[float, float]:
+    """Return by how much a velocity changed between two times by the tilt, east and north, m/s.
+
+    It is the integral of eq. (47) over some attitudes in order, as far as these reach.
+    """
+    east_mps, north_mps, before = 0.0, 0.0, None
+    for m in attitudes:
+        if before is not None and m.measured_at_s <= before.measured_at_s:
+            continue
+        now = tilt_after(before, m)
+        if before is not None and before.is_joined(m.measured_at_s):
+            length_s = max(min(m.measured_at_s, to_s) - max(before.measured_at_s, from_s), 0.0)
+            (was_e, was_n), (is_e, is_n) = before.acceleration_mps2, now.acceleration_mps2
+            east_mps += 0.5 * length_s * (was_e + is_e)
+            north_mps += 0.5 * length_s * (was_n + is_n)
+        before = now
+    return east_mps, north_mps
 
 
 def missed_motion(before: Tilt, now: Tilt, velocity_at_s: float) -> tuple[FloatArray, FloatArray]:

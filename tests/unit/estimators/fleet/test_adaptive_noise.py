@@ -118,13 +118,18 @@ def reported(at_s: float, velocity_mps: tuple[float, float] | None) -> PositionM
     return PositionMeasurement(1, at_s, at_s, (0.0, 0.0, 50.0), 1.0, 1.0, velocity, None if velocity is None else 0.2)
 
 
+def untold(from_s: float, to_s: float) -> tuple[float, float]:
+    """What a vehicle tells by its tilt that has none."""
+    return 0.0, 0.0
+
+
 def level_after(accelerations_mps: float, seed: int, end_s: float = 60.0, step_s: float = 0.2) -> float:
     """Return the level that reports teach, at 0.5 m^2/s^3, where each second changes the velocity by so many m/s, 1-sigma."""
     rng, noise, velocity = np.random.default_rng(seed), NoiseLevel(), np.zeros(2)
     for k in range(round(end_s / step_s)):
         velocity = velocity + accelerations_mps * math.sqrt(step_s) * rng.normal(size=2)
         east, north = (velocity + 0.2 * rng.normal(size=2)).tolist()
-        noise.learn_from_report(reported(step_s * k, (east, north)), 0.5, 20.0, 300.0)
+        noise.learn_from_report(reported(step_s * k, (east, north)), 0.5, 20.0, 300.0, untold)
     return noise.level
 
 
@@ -142,7 +147,7 @@ def test_neither_steady_flight_nor_the_noise_of_its_velocity_teaches_a_level():
 def test_a_level_learned_from_reports_has_a_bound():
     noise = NoiseLevel()
     for k in range(100):
-        noise.learn_from_report(reported(2.0 * k, (20.0 * (-1) ** k, 0.0)), 0.5, 20.0, 4.0)
+        noise.learn_from_report(reported(2.0 * k, (20.0 * (-1) ** k, 0.0)), 0.5, 20.0, 4.0, untold)
     assert noise.level == pytest.approx(4.0)
 
 
@@ -150,5 +155,17 @@ def test_a_level_learned_from_reports_has_a_bound():
 def test_reports_without_velocity_or_long_apart_teach_nothing(velocity_mps):
     noise = NoiseLevel()
     for k in range(10):
-        noise.learn_from_report(reported(5.0 * k, velocity_mps if k % 2 else (0.0, 0.0)), 0.5, 20.0, 300.0)
+        noise.learn_from_report(reported(5.0 * k, velocity_mps if k % 2 else (0.0, 0.0)), 0.5, 20.0, 300.0, untold)
     assert noise.log_level == 0.0
+
+
+def test_what_its_tilt_tells_is_no_manoeuvre_as_long_as_it_tells():
+    """A vehicle that goes to and fro at 15 m/s: its level is 1 with the tilt, and that of the manoeuvres without."""
+    noise, other = NoiseLevel(), NoiseLevel()
+    for k in range(60):
+        east_mps = 15.0 * (-1) ** k
+        noise.learn_from_report(reported(2.0 * k, (east_mps, 0.0)), 0.5, 20.0, 300.0, lambda *_, now=east_mps: (2.0 * now, 0.0))
+        other.learn_from_report(reported(2.0 * k, (east_mps, 0.0)), 0.5, 20.0, 300.0, untold)
+    assert noise.level == 1.0
+    assert noise.untold_level == other.level == other.untold_level > 50.0
+    assert noise.copy().untold_level == noise.untold_level

@@ -13,7 +13,7 @@ from gcs_coloc.core.measurements import (
     VehicleClass,
     VehicleClassReport,
 )
-from gcs_coloc.estimators.fleet.ekf.tilt import GRAVITY_MPS2, Tilt, missed_motion, tilt_after
+from gcs_coloc.estimators.fleet.ekf.tilt import GRAVITY_MPS2, Tilt, missed_motion, tilt_after, tilted_velocity_mps
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 
 DENIED, LOST_S, END_S, STEP_S = 9, 10.0, 50.0, 0.05
@@ -136,3 +136,13 @@ def test_a_brake_is_seen_in_the_tilt(seed, attitude_s, wrong):
 def test_no_other_vehicle_is_accelerated_by_its_tilt(vehicle):
     with_tilt, without = velocities(1, 0.5, vehicle=vehicle), velocities(1, None, vehicle=vehicle)
     np.testing.assert_allclose(with_tilt, without, rtol=1e-9)
+
+
+def test_the_change_of_a_velocity_by_tilt_is_what_the_tilt_accelerates_meanwhile():
+    """It brakes to the south from 3.0 s on for a second, in which drag catches up with e^(-t / 2 s) of it left."""
+    braking = [attitude(0.05 * k, 0.0, 30.0 if k >= 60 else 0.0) for k in range(90)]
+    east_mps, north_mps = tilted_velocity_mps(braking, 2.9, 4.0)
+    assert east_mps == pytest.approx(0.0, abs=1e-9)
+    lasting_s = 2.0 * (1.0 - math.exp(-0.5))
+    assert north_mps == pytest.approx(-lasting_s * GRAVITY_MPS2 * math.tan(math.radians(30.0)), rel=0.05)
+    assert tilted_velocity_mps(braking, 0.0, 2.0) == (0.0, 0.0)
