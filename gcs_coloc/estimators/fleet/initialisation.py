@@ -12,13 +12,20 @@ from itertools import pairwise
 import numpy as np
 
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
-from gcs_coloc.core.measurements import AltitudeMeasurement, AttitudeMeasurement, FloatArray, PositionMeasurement
+from gcs_coloc.core.measurements import (
+    AltitudeMeasurement,
+    AttitudeMeasurement,
+    FloatArray,
+    NoEstimateReason,
+    PositionMeasurement,
+    Unlocated,
+)
 from gcs_coloc.core.reasons import StatedReason
 from gcs_coloc.estimators.fleet.ekf.air_data import EVERY_S, AirCalibration, GroundVelocity, steady_air_m2
 from gcs_coloc.estimators.fleet.ekf.cluster import ClusterSet
 from gcs_coloc.estimators.fleet.ekf.possible_motion import BOUND_95_SIGMAS
 from gcs_coloc.estimators.fleet.ekf.process_model import GAP_S, acceleration_density_m2ps3, turn_rate_radps, usable_airspeed_mps
-from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
+from gcs_coloc.estimators.fleet.ekf.records import RANGES_S, LeftOut, VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import (
     HEADING_ERROR,
     POSITION,
@@ -39,7 +46,9 @@ _UNSHOWN_MPS2 = 1.5  # chosen: 1-sigma of the acceleration in gusts and changes 
 _HEADING_ERROR_RAD = 0.35
 """Chosen: 20 degrees, a compass beside currents; it turns the velocity through the air, and so each acceleration."""
 _TRY_EVERY_S = 0.5
-"""Chosen: one multilateration costs some milliseconds."""
+"""Chosen: one multilateration costs some ten milliseconds."""
+_TRY_CONTRADICTORY_EVERY_S = 2.0
+"""The same after ranges that contradicted each other. Chosen: to look for a faulty device costs 0.2 s with eight peers."""
 
 
 def initialise_from_reports(clusters: ClusterSet, vehicle: int, at_s: float) -> bool:
@@ -121,18 +130,33 @@ def initialise_from_ranges(clusters: ClusterSet, vehicle: int, at_s: float, open
     its reason in the vehicle's record. The next try is made no sooner than after `_TRY_EVERY_S`.
     """
     record, s = clusters.records.writable(vehicle), clusters.settings
-    if at_s - record.initialisation_tried_at_s < _TRY_EVERY_S:
+    contradicts = record.left_out is None and record.no_estimate_reason.reason is NoEstimateReason.CONTRADICTORY
+    if at_s - record.initialisation_tried_at_s < (_TRY_CONTRADICTORY_EVERY_S if contradicts else _TRY_EVERY_S):
         return False
     record.initialisation_tried_at_s = at_s
     problem = _multilateration_problem(clusters, vehicle, at_s, open_sides)
     solution = solve_multilateration(problem, s.limit_sigma_m)
     if isinstance(solution, StatedReason):
-        record.no_estimate_reason = solution
+        record.no_estimate_reason, record.left_out = solution, None
         return False
+    if solution.left_out and not _is_confirmed(record, solution.left_out, at_s):
+        record.no_estimate_reason = Unlocated(NoEstimateReason.CONTRADICTORY)
+        return False
+    record.left_out = None
     begin_without_reports(record, at_s, s)
-    record.began_on_either_side = float(solution[1][2, 2]) > problem.straight_m2()
-    clusters.initialise(vehicle, *block_from_estimate(*solution, s), at_s)
+    record.began_on_either_side = float(solution.covariance[2, 2]) > problem.straight_m2()
+    clusters.initialise(vehicle, *block_from_estimate(solution.mean, solution.covariance, s), at_s)
     return True
+
+
+def _is_confirmed(record: VehicleRecord, left_out: frozenset[int], at_s: float) -> bool:
+    """Return whether the same devices were left out of a start ever since one by other ranges.
+
+    Two faulty devices may agree with the others for a moment, and seldom while the vehicle moves on.
+    """
+    if record.left_out is None or record.left_out.peers != left_out:
+        record.left_out = LeftOut(left_out, at_s)
+    return at_s - record.left_out.since_s > RANGES_S
 
 
 def begin_without_reports(record: VehicleRecord, at_s: float, s: FleetSettings) -> None:

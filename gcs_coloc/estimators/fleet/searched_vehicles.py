@@ -19,8 +19,9 @@ from gcs_coloc.estimators.fleet.ekf.records import Neighbour
 from gcs_coloc.estimators.fleet.ekf.state import POSITION, pair_key
 from gcs_coloc.estimators.fleet.gaps import add_gap, tell_of_all_directions
 from gcs_coloc.estimators.fleet.initialisation import begin_without_reports, block_from_estimate, initialise_from_reports
-from gcs_coloc.estimators.fleet.search.multilateration import LEAST_PEERS, LEAST_RANGES
+from gcs_coloc.estimators.fleet.search.multilateration import LEAST_PEERS
 from gcs_coloc.estimators.fleet.search.position_search import PositionSearch, RangeCircle, is_too_wide
+from gcs_coloc.estimators.fleet.search.range_fit import LEAST_RANGES
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 _UNSHOWN_LOG_ODDS = -3.0

@@ -36,12 +36,19 @@ _INTERVAL_SHARE = 0.2  # chosen: of the latest interval in their mean; one gap a
 _RECENT_S = 3.0
 _RECENT_MOST = 64
 """Chosen: own measurements from which an initialisation replays, enough for velocity; bounded in memory."""
-_RANGES_S = 4.0
+RANGES_S = 4.0
 _RANGES_MOST = 120
 """Chosen: ranges for multilateration, of so short a time that few turns are in it; bounded in memory."""
 
 OwnMeasurement = PositionMeasurement | AltitudeMeasurement | AttitudeMeasurement | OdometryMeasurement
 """What a vehicle measures of itself."""
+
+
+class LeftOut(NamedTuple):
+    """The peers that were left out of every start from ranges since a time: their devices seem faulty."""
+
+    peers: frozenset[int]
+    since_s: float
 
 
 class UnresolvedOutlier(NamedTuple):
@@ -181,6 +188,8 @@ class VehicleRecord:
     bias_window: BiasWindow | None = None
     """The ranges since the last that were counted in `range_biases`."""
     initialisation_tried_at_s: float = -math.inf
+    left_out: LeftOut | None = None
+    """The faulty devices that the last try left out, if it found the vehicle without them."""
     no_estimate_reason: Unlocated = _NOT_HEARD
 
     @property
@@ -231,7 +240,7 @@ class VehicleRecord:
     @property
     def recent_ranges(self) -> tuple[RangeMeasurement, ...]:
         """The ranges of the last 4 s before the newest, 120 at most, oldest first."""
-        return _since(self.range_measurements[-_RANGES_MOST:], _RANGES_S)
+        return _since(self.range_measurements[-_RANGES_MOST:], RANGES_S)
 
 
 _Measured = TypeVar("_Measured", OwnMeasurement, RangeMeasurement)

@@ -4,6 +4,7 @@ It is a robust least squares fit from many starting points. The vehicle may turn
 well, each about zero with what its class can do. What its air data show of its turns is known. Few or badly placed peers allow a
 reflected solution. Where altitude and motion do not decide, the position is ambiguous; only a reflection straight above or below
 is returned, as one position with an open height.
+A faulty device is left out (`faulty_device`).
 """
 
 from __future__ import annotations
@@ -23,18 +24,10 @@ from gcs_coloc.core.measurements import (
     RangeMeasurement,
     Unlocated,
 )
+from gcs_coloc.estimators.fleet.search.faulty_device import fit_without_faulty
+from gcs_coloc.estimators.fleet.search.range_fit import LEAST_RANGES, RangesToFit
 
-_AZIMUTHS = 12  # chosen: a start every 30 degrees
-_ELEVATIONS_RAD = (-0.8, -0.1, 0.1, 0.8)
-"""Chosen: starting points 30 degrees apart on the sphere about each peer, above and below it."""
-_STARTS = 24  # chosen: so many descents find the global minimum; all run at once
-_ITERATIONS = 25  # chosen: Levenberg-Marquardt converges in about ten
-LEAST_RANGES = 6  # as many as unknowns: position and velocity
 LEAST_PEERS = 2  # with one peer the position is anywhere on a sphere
-_HUBER_SIGMAS = 2.0  # chosen: residuals beyond it pull no harder (Huber 1964)
-_OUTLIER_SIGMAS = 5.0  # chosen: less than one Gaussian error in a million
-_MOST_OUTLIERS = 0.3  # chosen: with more outliers than three of ten the ranges contradict each other
-_MOST_MEAN_SQUARE = 3.0  # chosen: mean squared residual of the ranges that fit, 1 where the sigmas are right
 _CLEARLY_WORSE = 15.0  # chosen: difference of the costs (chi-square) from which on another minimum is excluded
 _DISTINCT_NIS = 25.0  # chosen: minima five sigmas apart horizontally are different positions
 _VELOCITY_PRIOR_MPS = (30.0, 30.0, 5.0)  # chosen: 1-sigma of a small aircraft, east, north, up
@@ -43,7 +36,6 @@ _STRAIGHT = 0.25
 counted as known that the filter took to the wrong side."""
 _HEIGHT_PRIOR_M = 300.0  # chosen: priors as wide as small aircraft fly, about rest and the mean height of the peers
 _STRETCH_S = 1.0  # chosen: the acceleration is constant so long; a roll from one turn into another takes about a second
-_ROUGH_MOST_SIGMAS = 50.0  # chosen: bounds the residuals in the ranking of starting points
 
 
 class FlownThroughAir(NamedTuple):
@@ -114,7 +106,12 @@ class MultilaterationProblem:
         """Return the number of ranges with each peer."""
         return Counter(row[0] for row in self._rows)
 
-    def ranges(self) -> FloatArray:
+    def to_fit(self) -> RangesToFit:
+        """Return what is to be fitted."""
+        place, prior_sigmas = self._motion()
+        return RangesToFit(self._ranges(), np.array([row[0] for row in self._rows]), self._heights_to_fit(), place, prior_sigmas)
+
+    def _ranges(self) -> FloatArray:
         """Return the ranges (n, 6): time, s, and the peer's east, north and up, range and sigma, m.
 
         The sigmas are inflated so that the coloured error of a peer counts once in all its ranges.
@@ -138,12 +135,12 @@ class MultilaterationProblem:
         """
         return min(2.0 * _STRAIGHT * range_m * sigma_m for *_, range_m, sigma_m, _ in self._rows)
 
-    def heights(self) -> FloatArray:
+    def _heights_to_fit(self) -> FloatArray:
         """Return the heights (m, 3): time, s, height, sigma, m; they are coloured: together worth one."""
         inflation = math.sqrt(max(len(self._heights), 1))
         return np.array([(t, u, sigma * inflation) for t, u, sigma in self._heights], dtype=np.float64).reshape(-1, 3)
 
-    def motion(self) -> tuple[FloatArray, FloatArray]:
+    def _motion(self) -> tuple[FloatArray, FloatArray]:
         """Return the matrices (n, 3, k) from the unknowns to the position at each range, and the priors (k,).
 
         The unknowns are position and velocity at `at_s`, m and m/s, then the east and north accelerations in each stretch of
@@ -175,22 +172,29 @@ def _slope(past: list[PositionMeasurement]) -> tuple[float, float, float]:
     return (e, n, u)
 
 
-def solve_multilateration(problem: MultilaterationProblem, limit_sigma_m: float) -> tuple[FloatArray, FloatArray] | Unlocated:
-    """Return mean (6,) and covariance (6, 6) of position and velocity, or the reason why not.
+class Solution(NamedTuple):
+    """Mean (6,) and covariance (6, 6) of position and velocity at the problem's time.
 
-    They hold at the problem's time. `limit_sigma_m` is the largest horizontal sigma that counts as determined.
+    `left_out` are the peers whose devices are faulty: without them the ranges agree.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    left_out: frozenset[int]
+
+
+def solve_multilateration(problem: MultilaterationProblem, limit_sigma_m: float) -> Solution | Unlocated:
+    """Return where the vehicle is, or the reason why that is unknown.
+
+    `limit_sigma_m` is the largest horizontal sigma that counts as determined.
     """
     peers = problem.peers()
     if len(peers) < LEAST_PEERS or sum(peers.values()) < LEAST_RANGES:
         return Unlocated(NoEstimateReason.FEW_RANGES, sum(peers.values()), len(peers))
-    ranges, heights = problem.ranges(), problem.heights()
-    place, prior_sigmas = problem.motion()
-    x, cost, normal = _descend(_starting_points(ranges, heights, place), ranges, heights, place, prior_sigmas)
-    best = int(np.argmin(cost))
-    residual = _residuals(x[best : best + 1], ranges, place)[0]
-    fits = np.abs(residual) <= _OUTLIER_SIGMAS
-    if 1.0 - fits.mean() > _MOST_OUTLIERS or float(np.mean(residual[fits] ** 2)) > _MOST_MEAN_SQUARE:
+    found = fit_without_faulty(problem.to_fit())
+    if found is None:
         return Unlocated(NoEstimateReason.CONTRADICTORY)
+    (x, cost, normal, best), left_out = found
     covariance = np.linalg.inv(normal[best])[:6, :6]
     worst_m = horizontal_sigma_m(covariance)
     if worst_m > limit_sigma_m:
@@ -210,85 +214,4 @@ def solve_multilateration(problem: MultilaterationProblem, limit_sigma_m: float)
             mean[2] += 0.5 * d[2]
             covariance = covariance.copy()
             covariance[2, 2] += half * half
-    return mean, covariance
-
-
-def _starting_points(ranges: FloatArray, heights: FloatArray, place: FloatArray) -> FloatArray:
-    """Return (s, k): positions on the spheres about the peers, those that fit all ranges best, at rest."""
-    azimuth = np.arange(_AZIMUTHS) * (2.0 * math.pi / _AZIMUTHS)
-    directions = np.array(
-        [(math.sin(a) * math.cos(h), math.cos(a) * math.cos(h), math.sin(h)) for h in _ELEVATIONS_RAD for a in azimuth]
-    )
-    # The latest ranges are enough to place starting points by.
-    rows = ranges[-8:]
-    points = (rows[:, np.newaxis, 1:4] + rows[:, 4, np.newaxis, np.newaxis] * directions).reshape(-1, 3)
-    if len(heights):
-        points[:, 2] = heights[-1, 1]
-    candidates = np.zeros((len(points), place.shape[2]))
-    candidates[:, :3] = points
-    rough = np.minimum(np.abs(_residuals(candidates, ranges, place)), _ROUGH_MOST_SIGMAS).sum(axis=1)
-    order = np.argsort(rough, kind="stable")
-    # The best ones crowd together: others spread over the rest reach the far side too.
-    near, far = order[: _STARTS // 2], order[_STARTS // 2 :: max(1, len(order) // (_STARTS // 2))]
-    return np.asarray(candidates[np.concatenate([near, far])])
-
-
-def _residuals(x: FloatArray, ranges: FloatArray, place: FloatArray) -> FloatArray:
-    """Return (s, n): the residual of each range at each state (s, k), in sigmas."""
-    distance = np.linalg.norm(np.einsum("nij,sj->sni", place, x) - ranges[:, 1:4], axis=2)
-    return np.asarray((ranges[:, 4] - distance) / ranges[:, 5])
-
-
-def _descend(
-    x: FloatArray, ranges: FloatArray, heights: FloatArray, place: FloatArray, prior_sigmas: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Minimise eq. (26) from all starting points at once (Levenberg-Marquardt, Huber weights).
-
-    Returns the states (s, k), their costs (s,) and normal matrices (s, k, k).
-    """
-    centre = np.zeros(len(prior_sigmas))
-    centre[2] = float(ranges[:, 3].mean())
-    prior = np.diag(prior_sigmas**-2)
-    damping = np.full(len(x), 1e-2)
-    cost, gradient, normal = _linearise(x, ranges, heights, place, prior, centre)
-    eye = np.eye(len(centre))
-    for _ in range(_ITERATIONS):
-        scale = np.einsum("sii->si", normal)[:, :, np.newaxis] * eye
-        step = np.linalg.solve(normal + damping[:, np.newaxis, np.newaxis] * scale, gradient[:, :, np.newaxis])[:, :, 0]
-        tried = x + step
-        cost_t, gradient_t, normal_t = _linearise(tried, ranges, heights, place, prior, centre)
-        better = cost_t <= cost
-        x = np.where(better[:, np.newaxis], tried, x)
-        gradient = np.where(better[:, np.newaxis], gradient_t, gradient)
-        normal = np.where(better[:, np.newaxis, np.newaxis], normal_t, normal)
-        cost = np.where(better, cost_t, cost)
-        damping = np.clip(np.where(better, damping * 0.2, damping * 5.0), 1e-9, 1e9)
-    return x, cost, normal
-
-
-def _linearise(
-    x: FloatArray, ranges: FloatArray, heights: FloatArray, place: FloatArray, prior: FloatArray, centre: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return cost (s,), downhill gradient (s, k) and normal matrix (s, k, k) at the states (s, k)."""
-    d = np.einsum("nij,sj->sni", place, x) - ranges[:, 1:4]
-    distance = np.maximum(np.linalg.norm(d, axis=2), 1e-6)
-    u = d / distance[:, :, np.newaxis]
-    J = np.einsum("sni,nij->snj", u, place) / ranges[:, 5, np.newaxis]
-    residual = (ranges[:, 4] - distance) / ranges[:, 5]
-    size = np.abs(residual)
-    weight = np.minimum(1.0, _HUBER_SIGMAS / np.maximum(size, 1e-12))
-    cost = np.where(size <= _HUBER_SIGMAS, size * size, 2.0 * _HUBER_SIGMAS * size - _HUBER_SIGMAS * _HUBER_SIGMAS).sum(axis=1)
-    JW = J * weight[:, :, np.newaxis]
-    normal = JW.transpose(0, 2, 1) @ J + prior
-    off = centre - x
-    gradient = np.einsum("sni,sn->si", JW, residual) + off @ prior
-    cost = cost + np.einsum("si,ij,sj->s", off, prior, off)
-    if len(heights):
-        H = np.zeros((len(heights), len(centre)))
-        H[:, 2] = 1.0 / heights[:, 2]
-        H[:, 5] = heights[:, 0] / heights[:, 2]
-        miss_h = heights[:, 1] / heights[:, 2] - x @ H.T
-        normal = normal + H.T @ H
-        gradient = gradient + miss_h @ H
-        cost = cost + (miss_h * miss_h).sum(axis=1)
-    return cost, gradient, normal
+    return Solution(mean, covariance, left_out)

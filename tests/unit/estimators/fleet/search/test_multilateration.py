@@ -40,7 +40,7 @@ PEERS = [(0.0, 0.0, 100.0), (900.0, 100.0, 140.0), (300.0, 800.0, 90.0)]
 
 def test_three_peers_and_the_altitude_give_the_place_within_its_stated_error():
     truth = (600.0, 500.0, 150.0)
-    mean, covariance = solve_multilateration(problem(truth, PEERS, velocity=(20.0, -5.0, 0.0)), LIMIT_M)
+    mean, covariance, _ = solve_multilateration(problem(truth, PEERS, velocity=(20.0, -5.0, 0.0)), LIMIT_M)
     error = mean[:3] - truth
     assert float(error @ np.linalg.solve(covariance[:3, :3], error)) < 16.3  # 99.9 % of chi-square with 3
     assert math.sqrt(covariance[0, 0] + covariance[1, 1]) < 5.0
@@ -49,7 +49,7 @@ def test_three_peers_and_the_altitude_give_the_place_within_its_stated_error():
 def test_late_ranges_do_not_mislead():
     truth = (600.0, 500.0, 150.0)
     late = {(3, 0), (7, 1), (8, 2), (15, 0), (16, 2)}
-    mean, _ = solve_multilateration(problem(truth, PEERS, late=late), LIMIT_M)
+    mean, _, _ = solve_multilateration(problem(truth, PEERS, late=late), LIMIT_M)
     assert np.linalg.norm(mean[:2] - truth[:2]) < 3.0
 
 
@@ -73,7 +73,7 @@ def test_without_altitude_a_mirror_image_above_and_below_leaves_the_height_open(
     if isinstance(outcome, StatedReason):
         assert outcome.reason in (NoEstimateReason.OTHER_PLACE, NoEstimateReason.UNDETERMINED)
         return
-    mean, covariance = outcome
+    mean, covariance, _ = outcome
     assert abs(mean[2] - truth[2]) < 3.0 * math.sqrt(covariance[2, 2])
     assert np.linalg.norm(mean[:2] - truth[:2]) < 4.0 * math.sqrt(covariance[0, 0] + covariance[1, 1])
 
@@ -112,7 +112,7 @@ def test_a_vehicle_among_peers_in_turns_is_as_far_off_as_stated(bank_deg, interv
                 report = PositionMeasurement(i, reported_s, reported_s, tuple(place.tolist()), 0.3, 0.3, velocity, 0.2)
                 measured = RangeMeasurement(9, i, t, t, math.dist(here, there) + rng.normal(), 1.0)
                 p.add_range(i, report, [report], measured, 0.0, 2.0 * (reported_s - t) ** 2)
-        mean, covariance = solve_multilateration(p, LIMIT_M)
+        mean, covariance, _ = solve_multilateration(p, LIMIT_M)
         error = mean[:2] - truth[:2]
         squares.append(float(error @ np.linalg.solve(covariance[:2, :2], error)))
     within = np.array(squares) < 5.99  # 95 % of chi-square with 2
@@ -159,7 +159,7 @@ def test_air_data_of_a_turn_tell_the_side_of_two_peers(seed):
     times_s = np.arange(-4.2, 0.1, 0.25)
     courses_rad = 0.1 + 0.28 * times_s
     velocities = 20.0 * np.column_stack([np.sin(courses_rad), np.cos(courses_rad)])
-    mean, covariance = turned_beside_two_peers(FlownThroughAir(times_s, velocities, 3.5, 10.0), seed)
+    mean, covariance, _ = turned_beside_two_peers(FlownThroughAir(times_s, velocities, 3.5, 10.0), seed)
     error = mean[:2] - (600.0, 500.0)
     assert float(error @ np.linalg.solve(covariance[:2, :2], error)) < 13.8  # 99.9 % of chi-square with 2
     assert np.linalg.norm(mean[3:5] - (20.0 * math.sin(0.1) + 5.0, 20.0 * math.cos(0.1))) < 8.0
