@@ -1,7 +1,7 @@
-"""The check of readiness: what was told before GPS failed, against what came 30 s later.
+"""The check of readiness: what was told before GPS failed, against what came about 30 s later.
 
-What came is what the filter stated, and the error that it reached. In random flights of the integrity trials' classes GPS
-fails at a random time. In recordings the operator's override takes it at random times.
+What came is what the filter stated, in the median of ten seconds, and the error that it reached. In random flights of the
+integrity trials' classes GPS fails at a random time. In recordings the operator's override takes it at random times.
 """
 
 from __future__ import annotations
@@ -51,6 +51,10 @@ CHECKED = (
 )
 """The classes of flights that are flown: all kinds of geometry, motion and noise, without faults."""
 _CLOSE = 0.2
+_ABOUT_S = 5.0
+"""What is stated counts from so long before the horizon to so long after it. Chosen: longer than the bound grows between two
+ranges, and than it is inflated for a contradiction."""
+_SAMPLE_S = 0.5
 _LOST_AT_S = (70.0, 100.0)
 """In a random flight GPS fails at some time between these. Chosen: after a minute of predictions."""
 TAKEN_FROM_S = 70.0
@@ -63,10 +67,10 @@ _TRUTH_WITHIN_S = 0.06
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """One loss of GPS: what was told of it before, and what came 30 s after; m, NaN where there is none.
+    """One loss of GPS: what was told of it before, and what came about 30 s after; m, NaN for none.
 
-    `is_told`: the size of the bound was told. `error_m` is the reached horizontal error; `has_fix` whether a position was
-    stated then.
+    `is_told`: the size of the bound was told. `bound_m`, `hpl_m` and `hdop` are medians of ten seconds, `moment_bound_m` is the
+    bound after exactly 30 s. `error_m` is the horizontal error reached then; `has_fix` whether a position was stated then.
     """
 
     kind: str
@@ -76,6 +80,7 @@ class Loss:
     told_hdop: float
     is_told: bool
     bound_m: float
+    moment_bound_m: float
     hpl_m: float
     hdop: float
     error_m: float
@@ -85,6 +90,11 @@ class Loss:
     def bound_ratio(self) -> float:
         """Stated over told 95 % bound."""
         return self.bound_m / self.told_bound_m
+
+    @property
+    def moment_bound_ratio(self) -> float:
+        """Stated, at one moment, over told 95 % bound."""
+        return self.moment_bound_m / self.told_bound_m
 
     @property
     def hpl_ratio(self) -> float:
@@ -143,11 +153,16 @@ def _check(task: Task) -> list[Loss]:
 
 def _fly(name: str, seed: int) -> Loss | None:
     drawn = replace(CLASSES[name], lost_at_s=_LOST_AT_S)
-    fleet = SimulatedFleet(drawn, seed, _LOST_AT_S[1] + HORIZON_S + 5.0)
+    fleet = SimulatedFleet(drawn, seed, _LOST_AT_S[1] + HORIZON_S + _ABOUT_S + 5.0)
     engine = Engine(load_estimator("fleet", {}), EngineSettings(request_streams=False))
     vehicle, told = fleet.denied[0], None
+
+    def error_m(where: Estimate, frame: LocalFrame) -> float:
+        return fleet.error_m(vehicle, where.at_s, *frame.geodetic_from_enu(*where.position_enu_m.tolist()))
+
+    after = _AfterLoss(engine, vehicle, fleet.lost_at_s, error_m)
     at_s = 0.0
-    while at_s < fleet.lost_at_s + HORIZON_S:
+    while after.due_s is not None:
         at_s, message = fleet.pop()
         for due_s, outputs in advance(engine, at_s, held_up_until_s=0.0):
             for output in outputs:
@@ -156,11 +171,9 @@ def _fly(name: str, seed: int) -> Loss | None:
             told = engine.readiness(vehicle)
         if message is not None:
             engine.receive(message)
-
-    def error_m(where: Estimate, frame: LocalFrame) -> float:
-        return fleet.error_m(vehicle, where.at_s, *frame.geodetic_from_enu(*where.position_enu_m.tolist()))
-
-    return _loss(name, engine, vehicle, told, at_s, error_m)
+        if at_s >= after.due_s:
+            after.sample(at_s)
+    return after.loss(name, told)
 
 
 def _replay(path: Path, draw: int, from_s: float) -> Loss | None:
@@ -182,7 +195,6 @@ def _replay(path: Path, draw: int, from_s: float) -> Loss | None:
         return None
     vehicle = max(known, key=lambda sysid: (known[sysid].peers, sysid))
     engine.receive(OperatorCommand(vehicle, taken_at_s, GpsOverride.FAILED))
-    _step_to(through, taken_at_s + HORIZON_S)
 
     def error_m(where: Estimate, frame: LocalFrame) -> float:
         near = [point for point in truth if point.sysid == vehicle and abs(point.unix_s - where.at_s) <= _TRUTH_WITHIN_S]
@@ -192,7 +204,11 @@ def _replay(path: Path, draw: int, from_s: float) -> Loss | None:
         east_m, north_m, _ = frame.enu_from_geodetic(true.lat_deg, true.lon_deg, true.alt_msl_m)
         return hypot(*(where.position_enu_m[:2] - (east_m, north_m)).tolist())
 
-    return _loss(path.parent.name, engine, vehicle, known[vehicle], taken_at_s + HORIZON_S, error_m)
+    after = _AfterLoss(engine, vehicle, taken_at_s, error_m)
+    while (due_s := after.due_s) is not None:
+        _step_to(through, due_s)
+        after.sample(due_s)
+    return after.loss(path.parent.name, known[vehicle])
 
 
 def _step_to(through: Replay, to_s: float) -> None:
@@ -202,26 +218,46 @@ def _step_to(through: Replay, to_s: float) -> None:
         through.advance(to_s)
 
 
-def _loss(
-    kind: str,
-    engine: Engine,
-    vehicle: int,
-    told: VehicleReadiness | None,
-    at_s: float,
-    error_m: Callable[[Estimate, LocalFrame], float],
-) -> Loss | None:
-    if told is None:
-        return None
-    where, frame = engine.estimate(vehicle, at_s), engine.frame
-    is_located = isinstance(where, Estimate) and frame is not None
-    bound_m = hpl_m = hdop = reached_m = nan
-    if isinstance(where, Estimate) and frame is not None:
-        bound_m, hdop = horizontal_bound_95_m(where.covariance), _number(where.hdop)
-        hpl_m = where.protection.horizontal_m if where.protection is not None else nan
-        reached_m = error_m(where, frame)
-    told_m = _number(told.bound_95_m), _number(told.hpl_m), _number(told.hdop)
-    limit_m = engine.settings.aiding.alert_limit_m
-    return Loss(kind, told.state, *told_m, told.is_told, bound_m, hpl_m, hdop, reached_m, is_located and hpl_m <= limit_m)
+class _AfterLoss:
+    """What is stated about the horizon after a loss of GPS, sampled at the times that are due."""
+
+    def __init__(self, engine: Engine, vehicle: int, lost_at_s: float, error_m: Callable[[Estimate, LocalFrame], float]) -> None:
+        self._engine, self._vehicle, self._error_m = engine, vehicle, error_m
+        count = round(2.0 * _ABOUT_S / _SAMPLE_S)
+        self._due_s = [lost_at_s + HORIZON_S - _ABOUT_S + k * _SAMPLE_S for k in range(count + 1)]
+        self._moment = count // 2
+        self._bounds_m: list[float] = []
+        self._hpls_m: list[float] = []
+        self._hdops: list[float] = []
+        self._reached_m = nan
+
+    @property
+    def due_s(self) -> float | None:
+        """When the next sample is due, service time in s; None after the last."""
+        return self._due_s[len(self._bounds_m)] if len(self._bounds_m) < len(self._due_s) else None
+
+    def sample(self, at_s: float) -> None:
+        """Keep what is stated now; at the horizon the error as well."""
+        where, frame = self._engine.estimate(self._vehicle, at_s), self._engine.frame
+        bound_m = hpl_m = hdop = nan
+        if isinstance(where, Estimate) and frame is not None:
+            bound_m, hdop = horizontal_bound_95_m(where.covariance), _number(where.hdop)
+            hpl_m = where.protection.horizontal_m if where.protection is not None else nan
+            if len(self._bounds_m) == self._moment:
+                self._reached_m = self._error_m(where, frame)
+        self._bounds_m.append(bound_m)
+        self._hpls_m.append(hpl_m)
+        self._hdops.append(hdop)
+
+    def loss(self, kind: str, told: VehicleReadiness | None) -> Loss | None:
+        """Return the loss; None where nothing was told of it before."""
+        if told is None:
+            return None
+        told_m = _number(told.bound_95_m), _number(told.hpl_m), _number(told.hdop)
+        moment_m, hpl_m = self._bounds_m[self._moment], self._hpls_m[self._moment]
+        came_m = float(np.median(self._bounds_m)), moment_m, float(np.median(self._hpls_m)), float(np.median(self._hdops))
+        has_fix = hpl_m <= self._engine.settings.aiding.alert_limit_m
+        return Loss(kind, told.state, *told_m, told.is_told, *came_m, self._reached_m, has_fix)
 
 
 def _number(value: float | None) -> float:
@@ -230,8 +266,15 @@ def _number(value: float | None) -> float:
 
 def check_table(losses: Sequence[Loss]) -> Table:
     """Return a row for each kind of flight, and one of all."""
-    bounds = "flights", "losses", "stated / told 95 %", "within 20 %", "of those told", "of those with HDOP as told"
-    levels = "stated / told HPL", "within 20 %", "errors within", "told a fix: had one", "told none: had none"
+    bounds = "flights", "losses", "stated / told 95 %", "within 20 %", "of those told", "at one moment"
+    levels = (
+        "of those with HDOP as told",
+        "stated / told HPL",
+        "within 20 %",
+        "errors within",
+        "told a fix: had one",
+        "told none: had none",
+    )
     table = new_table(*bounds, *levels, left=("flights",))
     kinds = list(dict.fromkeys(loss.kind for loss in losses))
     for kind in kinds:
@@ -241,11 +284,12 @@ def check_table(losses: Sequence[Loss]) -> Table:
 
 
 def _cells(losses: Sequence[Loss]) -> list[str]:
-    bounds, told, as_told, levels = (
+    bounds, told, moments, as_told, levels = (
         np.array(ratios)
         for ratios in (
             [loss.bound_ratio for loss in losses],
             [loss.bound_ratio for loss in losses if loss.is_told],
+            [loss.moment_bound_ratio for loss in losses if loss.is_told],
             [loss.bound_ratio for loss in losses if loss.came_as_told],
             [loss.hpl_ratio for loss in losses],
         )
@@ -258,6 +302,7 @@ def _cells(losses: Sequence[Loss]) -> list[str]:
         _median(bounds),
         _close(bounds),
         _close(told),
+        _close(moments),
         _close(as_told),
         _median(levels),
         _close(levels),

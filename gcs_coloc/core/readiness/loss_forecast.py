@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from statistics import median
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,9 +33,18 @@ from gcs_coloc.core.readiness.vehicle_readiness import (
     node_names,
 )
 
-_MOST_HDOP_CHANGE, _MOST_INFLATION = 1.3, 1.25
-"""Chosen on 65 losses of 15 kinds, of which 48 % are told so, 94 % of these within 20 %. With a change of 1.1 it were 22 and
-100 %, with 1.6 and any inflation 67 and 66 %. Flights that it was not chosen on: docs/results/readiness.md."""
+_MOST_HDOP_CHANGE, _MOST_INFLATION, _MOST_BOUND_CHANGE = 1.3, 1.25, 1.15
+_LEAST_RANGES_HZ = 5.0
+"""Chosen on 143 losses of 15 kinds, of which 40 % are told so. With a smaller change of the HDOP nothing is gained, and with a
+larger one turns to come make the bound another. With fewer ranges a second it is what the vehicle does between them that counts.
+Flights that it was not chosen on: docs/results/readiness.md."""
+
+
+class EarlierPrediction(NamedTuple):
+    """What an earlier prediction told: the HDOP then, and the 95 % bound at its horizon, m."""
+
+    hdop: float
+    bound_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +53,8 @@ class LossSituation:
 
     `peers` are the reported positions of the nodes that it ranges; `epoch` the residuals of its ranges now, with zero values, and
     `stated_epoch` the same with their noise as stated. `velocity_enu_mps` is that of the vehicle, `turns_radps` the turn rates
-    that are held. `interval_s` is the mean time between its ranges. `recent_hdops` are those of the last minute; empty where it
-    was not followed for so long.
+    that are held. `interval_s` is the mean time between its ranges, `ranges_hz` how many there are in a second. `recent` are the
+    predictions of the last minute; empty where it was not followed for so long.
     """
 
     vehicle: int
@@ -53,8 +64,9 @@ class LossSituation:
     stated_epoch: Epoch
     turns_radps: Mapping[int, float]
     interval_s: float
+    ranges_hz: float
     exposure: Exposure
-    recent_hdops: Sequence[float] = ()
+    recent: Sequence[EarlierPrediction] = ()
 
 
 def forecast(
@@ -90,7 +102,7 @@ def forecast(
         _hpl_m(later),
         hdop_now,
         hdop,
-        _is_told(situation.recent_hdops, answers, as_filtered_m),
+        _is_told(situation, answers, as_filtered_m),
     )
 
 
@@ -172,18 +184,29 @@ def _moved(situation: LossSituation, node: int, place: Vector3, span_s: float) -
     return HeldMotion(place, velocity, turns.get(node, 0.0)).in_formation_with(own).after(span_s).position
 
 
-def _is_told(recent_hdops: Sequence[float], answers: Sequence[Estimate | NoEstimate], as_filtered_m: float | None) -> bool:
+def _is_told(situation: LossSituation, answers: Sequence[Estimate | NoEstimate], as_filtered_m: float | None) -> bool:
     """Return whether the forecast states how large the later bound is.
 
-    It does where the geometry hardly changes on the way, and hardly did in the last minute. Otherwise the bound depends on turns
-    to come, which nobody knows. With peers in one line, noise decides, and the filter remembers that noise for a while. With one
-    node the same is true along the circle around it. What integrity adds to `as_filtered_m` depends on what its tests find next.
+    It does where the geometry hardly changes on the way, and hardly did in the last minute, whose forecasts told about the same.
+    Otherwise the bound depends on turns to come, which nobody knows. With peers in one line, noise decides, and the filter
+    remembers that noise for a while. With one node the same is true along the circle around it. What integrity adds to
+    `as_filtered_m` depends on what its tests find next. With few ranges the vehicle's manoeuvres count, whose level the filter
+    learns only once it locates it.
     """
-    bound_m, ahead = _bound_m(answers[-1]), [_hdop(answer) for answer in answers[1:]]
-    if not recent_hdops or bound_m is None or as_filtered_m is None or bound_m > _MOST_INFLATION * as_filtered_m:
+    recent, bound_m, ahead = situation.recent, _bound_m(answers[-1]), [_hdop(answer) for answer in answers[1:]]
+    if (
+        situation.ranges_hz < _LEAST_RANGES_HZ
+        or not recent
+        or bound_m is None
+        or as_filtered_m is None
+        or bound_m > _MOST_INFLATION * as_filtered_m
+    ):
         return False
-    known = [*recent_hdops, *(hdop for hdop in ahead if hdop is not None)]
-    return len(known) == len(recent_hdops) + len(ahead) and max(known) < min(IN_LINE_HDOP, _MOST_HDOP_CHANGE * min(known))
+    usual_m = median([*(earlier.bound_m for earlier in recent), bound_m])
+    if max(bound_m, usual_m) > _MOST_BOUND_CHANGE * min(bound_m, usual_m):
+        return False
+    known = [*(earlier.hdop for earlier in recent), *(hdop for hdop in ahead if hdop is not None)]
+    return len(known) == len(recent) + len(ahead) and max(known) < min(IN_LINE_HDOP, _MOST_HDOP_CHANGE * min(known))
 
 
 def _hdop(answer: Estimate | NoEstimate) -> float | None:

@@ -9,7 +9,7 @@ from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from math import hypot, inf, isnan, nan
+from math import hypot, inf
 
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.estimator import GuardedEstimator, LossQuery
@@ -18,7 +18,7 @@ from gcs_coloc.core.integrity.fix_check import star
 from gcs_coloc.core.integrity.protection_level import Exposure, ProtectionSettings
 from gcs_coloc.core.measurements import PositionMeasurement, RangeMeasurement
 from gcs_coloc.core.readiness.held_motion import TurnRate
-from gcs_coloc.core.readiness.loss_forecast import LossSituation, forecast
+from gcs_coloc.core.readiness.loss_forecast import EarlierPrediction, LossSituation, forecast
 from gcs_coloc.core.readiness.vehicle_readiness import HORIZON_S, Limit, LimitingReason, ReadinessState, VehicleReadiness
 from gcs_coloc.core.schedule import SAME_S
 from gcs_coloc.core.telemetry.reported_state import ReportedState
@@ -31,9 +31,9 @@ _SPACING_S = 0.8
 _CONFIRMED_AFTER_S = 2.0  # a change of state counts after so long; chosen: two predictions that agree
 _RECOVERED_AFTER_S = 20.0
 """The same where readiness was lost in flight. Chosen: the alarm does not come and go at the edge of a limit."""
-_HDOPS_KEPT_S, _HDOPS_SPAN_S = 65.0, 45.0
-"""HDOPs of predictions are kept so long, and are those of the last minute once they span so long. Chosen: a minute of predictions
-every 10 s, and every 24 s in a fleet of 30."""
+_KEPT_S, _SPAN_S = 65.0, 45.0
+"""Predictions are kept so long, and are those of the last minute once they span so long. Chosen: a minute of predictions every
+10 s, and every 24 s in a fleet of 30."""
 _BEGUN_AFTER_S = 5.0  # a vehicle is predicted from so long after it was first heard; chosen: its ranges are heard by then
 _TURNS_EVERY_S = 1.0
 """Velocities for turn rates are taken so often. Chosen: a plane turns by 12 degrees in a second, never by half a circle."""
@@ -88,29 +88,32 @@ class ReadinessInputs:
 class _Followed:
     """What is known of one vehicle from earlier predictions.
 
-    `stated` is the readiness that is stated. `other_since_s` is since when predictions have had another state. `hdops` are those
-    of the last minute's predictions, with their times; NaN where there was none.
+    `stated` is the readiness that is stated. `other_since_s` is since when predictions have had another state. `predictions` are
+    those of the last minute, with their times.
     """
 
     stated: VehicleReadiness
     predicted_at_s: float
-    hdops: deque[tuple[float, float]] = field(default_factory=deque)
+    predictions: deque[tuple[float, EarlierPrediction | None]] = field(default_factory=deque)
     other: ReadinessState | None = None
     other_since_s: float = 0.0
 
-    def add_hdop(self, at_s: float, hdop: float | None) -> None:
-        """Add the HDOP of a prediction."""
-        self.hdops.append((at_s, hdop if hdop is not None else nan))
-        while at_s - self.hdops[0][0] > _HDOPS_KEPT_S:
-            self.hdops.popleft()
+    def add(self, found: VehicleReadiness) -> None:
+        """Add a prediction."""
+        hdop, bound_m = found.hdop_now, found.bound_95_m
+        earlier = EarlierPrediction(hdop, bound_m) if hdop is not None and bound_m is not None else None
+        self.predictions.append((found.at_s, earlier))
+        while found.at_s - self.predictions[0][0] > _KEPT_S:
+            self.predictions.popleft()
 
-    def recent_hdops(self, at_s: float) -> list[float]:
-        """Return the HDOPs of the last minute.
+    def recent(self, at_s: float) -> list[EarlierPrediction]:
+        """Return the predictions of the last minute.
 
-        The list is empty where the vehicle was not followed for so long, or did not always have one.
+        The list is empty where the vehicle was not followed for so long, or was not always located in them.
         """
-        hdops = [hdop for _, hdop in self.hdops]
-        return hdops if hdops and at_s - self.hdops[0][0] >= _HDOPS_SPAN_S and not any(map(isnan, hdops)) else []
+        known = [earlier for _, earlier in self.predictions if earlier is not None]
+        spans = len(known) > 0 and at_s - self.predictions[0][0] >= _SPAN_S
+        return known if spans and len(known) == len(self.predictions) else []
 
     @property
     def due_s(self) -> float:
@@ -204,15 +207,25 @@ class ReadinessReview:
             limit = Limit(LimitingReason.NOT_PREDICTED, detail=self._estimator.name)
             return VehicleReadiness(ReadinessState.UNKNOWN, now_s, limit.reason.code, limit.text, len(peers))
         # Those of one time are one: they show the motion together.
-        interval_s = (now_s - used[0].measured_at_s) / len({m.measured_at_s for m in used}) if used else inf
+        span_s = now_s - used[0].measured_at_s if used else inf
+        interval_s = span_s / len({m.measured_at_s for m in used}) if used else inf
         around = _without_values(star(epoch, sysid, peers))
         as_stated = around if inputs.stated_epoch is epoch else _without_values(star(inputs.stated_epoch, sysid, peers))
         own = node(sysid)
         velocity = own.velocity_enu_mps if own is not None else None
         followed = self._vehicles[sysid].followed
-        recent_hdops = followed.recent_hdops(now_s) if followed is not None else []
+        recent = followed.recent(now_s) if followed is not None else []
         situation = LossSituation(
-            sysid, velocity or (0.0, 0.0, 0.0), peers, around, as_stated, turns_radps, interval_s, inputs.exposure, recent_hdops
+            sysid,
+            velocity or (0.0, 0.0, 0.0),
+            peers,
+            around,
+            as_stated,
+            turns_radps,
+            interval_s,
+            len(used) / max(span_s, 1.0),
+            inputs.exposure,
+            recent,
         )
         return forecast(situation, answers, self._aiding, self._protection)
 
@@ -222,7 +235,7 @@ def _followed(followed: _Followed | None, found: VehicleReadiness, now_s: float)
     if followed is None:
         followed = _Followed(found, now_s)
     followed.predicted_at_s = now_s
-    followed.add_hdop(now_s, found.hdop_now)
+    followed.add(found)
     if found.state is followed.stated.state:
         followed.stated, followed.other = found, None
         return followed

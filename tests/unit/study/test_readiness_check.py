@@ -17,7 +17,7 @@ from gcs_coloc.runtime.tasks import KeptResults, Workers
 from gcs_coloc.study import readiness_check
 from gcs_coloc.study.readiness_check import Loss, check_table, run_checks
 
-AS_TOLD = Loss("planes", "ready", 2.0, 14.0, 1.1, True, 2.1, 15.0, 1.0, 1.5, True)
+AS_TOLD = Loss("planes", "ready", 2.0, 14.0, 1.1, True, 2.1, 2.5, 15.0, 1.0, 1.5, True)
 
 
 def cells(*losses: Loss) -> list[str]:
@@ -29,13 +29,13 @@ def test_ratios_and_counts_are_those_of_the_losses() -> None:
     far = replace(AS_TOLD, bound_m=5.0, hpl_m=29.0, hdop=2.6, error_m=4.0, has_fix=False)
     not_claimed = replace(AS_TOLD, is_told=False)
     assert cells(AS_TOLD, not_claimed, far) == [
-        "all", "3", "1.05", "2 of 3", "1 of 2", "2 of 2", "1.07", "2 of 3", "2 of 3", "2 of 3", "-",
+        "all", "3", "1.05", "2 of 3", "1 of 2", "0 of 2", "2 of 2", "1.07", "2 of 3", "2 of 3", "2 of 3", "-",
     ]  # fmt: skip
 
 
 def test_what_was_not_told_or_not_stated_is_no_ratio_but_counts_for_the_fix() -> None:
-    none = Loss("one-peer", "not_ready", nan, nan, nan, False, nan, nan, nan, nan, False)
-    assert cells(none) == ["all", "1", "-", "-", "-", "-", "-", "-", "-", "-", "1 of 1"]
+    none = Loss("one-peer", "not_ready", nan, nan, nan, False, nan, nan, nan, nan, nan, False)
+    assert cells(none) == ["all", "1", "-", "-", "-", "-", "-", "-", "-", "-", "-", "1 of 1"]
 
 
 def test_a_flight_is_told_of_before_its_loss_and_comes_as_told() -> None:

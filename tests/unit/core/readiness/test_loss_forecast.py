@@ -15,7 +15,7 @@ from gcs_coloc.core.integrity.fault_monitor import expected_separation_m2
 from gcs_coloc.core.integrity.protection_level import Exposure, ProtectionSettings
 from gcs_coloc.core.integrity.solution_separation import SolutionSeparation
 from gcs_coloc.core.measurements import Estimate, PositionMeasurement
-from gcs_coloc.core.readiness.loss_forecast import LossSituation, forecast
+from gcs_coloc.core.readiness.loss_forecast import EarlierPrediction, LossSituation, forecast
 from gcs_coloc.core.readiness.vehicle_readiness import HORIZON_S, VehicleReadiness
 
 RANGED = 1
@@ -37,8 +37,13 @@ def told(
     hdops: tuple[float | None, ...] = (1.2, 1.2),
     recent_hdops: tuple[float, ...] = (1.2,),
     variance_m2: float = 1.0,
+    recent_share: float = 1.0,
+    ranges_hz: float = 5.0,
 ) -> VehicleReadiness:
-    """Return the forecast for an estimator that predicts the same covariance all along, and some HDOP."""
+    """Return the forecast for an estimator that predicts the same covariance all along, and some HDOP.
+
+    Earlier forecasts told `recent_share` of the bound without faults.
+    """
     stated = epoch(peers)
     reported = {
         node: PositionMeasurement(node, 0.0, 0.0, prior.position_enu_m, 1.0, 1.5, (0.0, 0.0, 0.0), 0.3)
@@ -51,7 +56,11 @@ def told(
         for at_s, hdop in zip((0.0, 0.5 * HORIZON_S, HORIZON_S), (None, *hdops), strict=True)
     ]
     exposure = Exposure(True, inf)
-    situation = LossSituation(RANGED, (0.0, 0.0, 0.0), reported, noise.apply(stated), stated, {}, 0.2, exposure, recent_hdops)
+    recent_m = recent_share * horizontal_bound_95_m(variance_m2 * COVARIANCE)
+    recent = [EarlierPrediction(hdop, recent_m) for hdop in recent_hdops]
+    situation = LossSituation(
+        RANGED, (0.0, 0.0, 0.0), reported, noise.apply(stated), stated, {}, 0.2, ranges_hz, exposure, recent
+    )
     return forecast(situation, answers, AidingSettings(), ProtectionSettings())
 
 
@@ -97,6 +106,16 @@ def test_a_bound_is_told_where_the_geometry_hardly_changes(
     recent_hdops: tuple[float, ...], hdops: tuple[float | None, ...], is_told: bool
 ) -> None:
     assert told(2, NoiseModel(), hdops, recent_hdops).is_told is is_told
+
+
+@pytest.mark.parametrize(("recent_share", "is_told"), [(0.8, False), (0.9, True), (1.1, True), (1.2, False)])
+def test_a_bound_is_told_where_the_forecasts_of_the_last_minute_told_it_too(recent_share: float, is_told: bool) -> None:
+    assert told(2, NoiseModel(), recent_hdops=(1.2, 1.2), recent_share=recent_share).is_told is is_told
+
+
+@pytest.mark.parametrize(("ranges_hz", "is_told"), [(4.9, False), (5.0, True)])
+def test_a_bound_is_not_told_of_a_vehicle_with_few_ranges(ranges_hz: float, is_told: bool) -> None:
+    assert told(2, NoiseModel(), recent_hdops=(1.2, 1.2), ranges_hz=ranges_hz).is_told is is_told
 
 
 @pytest.mark.parametrize(("range_bias_m", "is_told"), [(0.0, True), (3.0, False)])
