@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from math import exp, hypot
+from math import exp, hypot, sqrt
 from statistics import fmean
 from typing import NamedTuple
 
@@ -34,7 +34,12 @@ _LEARNS_IN_S = 10.0  # chosen: long against a barometer's noise, short against a
 _LEAST_LEARNT_S = 5.0  # chosen: half of the noise is gone
 _FRESH_S = 2.0  # chosen: two messages at the rate that autopilots send by default
 _OTHER_SENSOR_SIGMA_M = 8.0  # chosen: barometers of one kind differ by up to 1 hPa
-_SCALE_SIGMA = 0.03  # of the climb since the offset was learnt: a day 10 K off the standard
+_SCALE_SIGMA = 0.05
+"""Of a climb, all vehicles alike. Chosen: a day 15 K off the standard. An autopilot that takes a warm sensor for the air states
+climbs 7 % too high (ArduPilot: at most 35 degrees Celsius)."""
+_WEATHER_SIGMA_M = 3.0
+"""Chosen: the pressure changes by 0.4 hPa in a flight. Beside others at one height that of a front is followed, too."""
+_OTHER_OFFSET_SIGMA_M = 0.5  # chosen: what barometer and filter of one vehicle wander in a flight
 
 
 def pressure_altitude_m(pressure_hpa: float) -> float:
@@ -54,8 +59,8 @@ class PressureHeight(NamedTuple):
 class Barometer:
     """What is known of one vehicle's barometer.
 
-    `offset_m`: height minus pressure altitude, learnt for `learnt_s`. `others_m`: the offsets of the others at that time. A fleet
-    is all barometers, this one among them.
+    `offset_m`: height minus pressure altitude, learnt for `learnt_s` at the pressure altitude `learnt_altitude_m`: both are means
+    of the same time. `others_m`: those of the others then. A fleet is all barometers, this one among them.
     """
 
     altitude_m: float = 0.0
@@ -64,7 +69,7 @@ class Barometer:
     offset_at_s: float = 0.0
     learnt_s: float = 0.0
     learnt_altitude_m: float = 0.0
-    others_m: Mapping[Barometer, float] = field(default_factory=dict)
+    others_m: Mapping[Barometer, tuple[float, float]] = field(default_factory=dict)
 
     def add(self, pressure_hpa: float, at_s: float) -> None:
         """Add a pressure."""
@@ -76,11 +81,13 @@ class Barometer:
             return
         offset_m, since_s = alt_msl_m - self.altitude_m, at_s - self.offset_at_s
         if self.offset_m is None or since_s > 6.0 * _LEARNS_IN_S:
-            self.offset_m, self.learnt_s = offset_m, 0.0
+            self.offset_m, self.learnt_altitude_m, self.learnt_s = offset_m, self.altitude_m, 0.0
         else:
-            self.offset_m += (1.0 - exp(-since_s / _LEARNS_IN_S)) * (offset_m - self.offset_m)
+            fresh = 1.0 - exp(-since_s / _LEARNS_IN_S)
+            self.offset_m += fresh * (offset_m - self.offset_m)
+            self.learnt_altitude_m += fresh * (self.altitude_m - self.learnt_altitude_m)
             self.learnt_s += since_s
-        self.offset_at_s, self.learnt_altitude_m = at_s, self.altitude_m
+        self.offset_at_s = at_s
         self.others_m = self._offsets_of_others(at_s, fleet)
 
     def height(self, at_s: float, fleet: Iterable[Barometer]) -> PressureHeight | None:
@@ -89,18 +96,41 @@ class Barometer:
             return None
         others_m = self._offsets_of_others(at_s, fleet)
         if self.offset_m is not None and self.learnt_s >= _LEAST_LEARNT_S:
-            changes_m = [offset_m - self.others_m[other] for other, offset_m in others_m.items() if other in self.others_m]
-            alt_msl_m = self.altitude_m + self.offset_m + (fmean(changes_m) if changes_m else 0.0)
-            return PressureHeight(alt_msl_m, _SCALE_SIGMA * abs(self.altitude_m - self.learnt_altitude_m))
+            change_m, sigma_m = self._change_of_offset(others_m)
+            return PressureHeight(self.altitude_m + self.offset_m + change_m, sigma_m)
         if not others_m:
             return None
         climb_m = self.altitude_m - fmean(other.altitude_m for other in others_m)
         sigma_m = hypot(_OTHER_SENSOR_SIGMA_M, _SCALE_SIGMA * climb_m)
-        return PressureHeight(self.altitude_m + fmean(others_m.values()), sigma_m)
+        return PressureHeight(self.altitude_m + fmean(offset_m for offset_m, _ in others_m.values()), sigma_m)
 
-    def _offsets_of_others(self, at_s: float, fleet: Iterable[Barometer]) -> dict[Barometer, float]:
+    def _change_of_offset(self, others_m: Mapping[Barometer, tuple[float, float]]) -> tuple[float, float]:
+        """Return by how much the offset has changed since it was learnt, and its 1-sigma, m.
+
+        That of a vehicle that climbs by c changes by w + s c, with the weather w and the scale s of the air, which are those of
+        all: least squares over the others, with the priors of both.
+        """
+        known_m = self.others_m
+        changes = [
+            (offset_m - known_m[other][0], altitude_m - known_m[other][1])
+            for other, (offset_m, altitude_m) in others_m.items()
+            if other in known_m
+        ]
+        climb_m = self.altitude_m - self.learnt_altitude_m
+        if not changes:
+            return 0.0, _SCALE_SIGMA * abs(climb_m)
+        each = _OTHER_OFFSET_SIGMA_M**-2
+        ww = _WEATHER_SIGMA_M**-2 + each * len(changes)
+        ws = each * sum(c for _, c in changes)
+        ss = _SCALE_SIGMA**-2 + each * sum(c * c for _, c in changes)
+        w, s = each * sum(m for m, _ in changes), each * sum(m * c for m, c in changes)
+        determinant = ww * ss - ws * ws
+        change_m = ((ss * w - ws * s) + climb_m * (ww * s - ws * w)) / determinant
+        return change_m, sqrt((ss - 2.0 * climb_m * ws + climb_m * climb_m * ww) / determinant)
+
+    def _offsets_of_others(self, at_s: float, fleet: Iterable[Barometer]) -> dict[Barometer, tuple[float, float]]:
         return {
-            other: other.offset_m
+            other: (other.offset_m, other.learnt_altitude_m)
             for other in fleet
             if other is not self
             and other.offset_m is not None
