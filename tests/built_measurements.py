@@ -44,7 +44,7 @@ def position(at_s: float, alt_m: float = 530.0, boot_s: float | None = None) -> 
 
 
 def gps(h_acc_m: float | None, v_acc_m: float | None = None) -> GpsReceiver:
-    return GpsReceiver(4, 0.0, 0, 3, 47.0, 8.0, 500.0, 9, 1.0, h_acc_m, v_acc_m, None)
+    return GpsReceiver(4, 0.0, 0, 3, 47.0, 8.0, 530.0, 9, 1.0, h_acc_m, v_acc_m, None)
 
 
 def range_message(at_s: float, stamp_s: float | None, base: TimeBase, device: int = 0) -> PeerRange:

@@ -90,7 +90,7 @@ def telemetry(sysid: int, t: float, fix_type: int = 3, autopilot: Autopilot = Au
     yield Airspeed(sysid, t, 20.0)
     if step % 2 == 0:
         yield GpsReceiver(
-            sysid, t, 0, fix_type, LAT + 0.001 * sysid, lon_deg, ALT, 10 if fix_type >= 3 else 3, 1.0, 1.2, 2.0, 0.4
+            sysid, t, 0, fix_type, LAT + 0.001 * sysid, lon_deg, ALT + 30, 10 if fix_type >= 3 else 3, 1.0, 1.2, 2.0, 0.4
         )
     if step % 10 == 0:
         yield Heartbeat(sysid, t, autopilot, True, winged=True)

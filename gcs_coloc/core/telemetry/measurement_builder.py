@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from math import hypot
 from typing import NamedTuple
 
 from gcs_coloc.core.clocks.fleet_clocks import FleetClocks
@@ -19,7 +20,7 @@ from gcs_coloc.core.reasons import CoreRefusal
 from gcs_coloc.core.stations.stations import Station
 from gcs_coloc.core.telemetry.altitude_builder import AltitudeBuilder, Barometer, KnownPlace, SentFix
 from gcs_coloc.core.telemetry.measurement_settings import MeasurementSettings
-from gcs_coloc.core.telemetry.position_builder import PositionJumps, receiver_position, reported_position
+from gcs_coloc.core.telemetry.position_builder import HeightDifference, PositionJumps, receiver_position, reported_position
 from gcs_coloc.core.telemetry.range_builder import BuiltRange, RangeMemory, build_range
 from gcs_coloc.core.telemetry.reported_state import ReportedState, true_airspeed_mps
 
@@ -41,6 +42,7 @@ class _Vehicle:
     receiver_fix: PositionMeasurement | None = None
     attitude_at_s: float | None = None
     jumps: PositionJumps = field(default_factory=PositionJumps)
+    heights: HeightDifference = field(default_factory=HeightDifference)
     altitudes: AltitudeBuilder = field(default_factory=AltitudeBuilder)
     ranges: RangeMemory = field(default_factory=RangeMemory)
 
@@ -106,7 +108,7 @@ class MeasurementBuilder:
             return None
         kept = self._vehicles[message.sysid]
         reported = kept.reported = reported_position(
-            message, vehicle.receiver, measured, self.frame, self.settings, kept.jumps, is_trusted=is_trusted
+            message, vehicle.receiver, measured, self.frame, self.settings, kept.jumps, kept.heights, is_trusted=is_trusted
         )
         if is_trusted:
             kept.altitudes.add_trusted_position(message, reported, self._barometers())
@@ -117,7 +119,7 @@ class MeasurementBuilder:
             self.frame,
             self._barometers(),
             booted_at_s=self._clocks.booted_at_s(message, measured),
-            altitude_sigma_m=self.settings.altitude_sigma_m,
+            altitude_sigma_m=hypot(self.settings.altitude_sigma_m, kept.heights.last_m),
             sent_fix=sent_fix,
             located_enu_m=located_enu_m,
         )
@@ -133,16 +135,16 @@ class MeasurementBuilder:
         measured = self._clocks.stamp(message)
         if measured is None:
             return None
-        altitudes = self._vehicles[message.sysid].altitudes
-        altitudes.barometer.add(message.pressure_hpa, message.received_at_s)
+        kept = self._vehicles[message.sysid]
+        kept.altitudes.barometer.add(message.pressure_hpa, message.received_at_s)
         if is_trusted or self.frame is None:
             return None
-        return altitudes.from_pressure(
+        return kept.altitudes.from_pressure(
             message,
             measured,
             self.frame,
             self._barometers(),
-            altitude_sigma_m=self.settings.altitude_sigma_m,
+            altitude_sigma_m=hypot(self.settings.altitude_sigma_m, kept.heights.last_m),
             located_enu_m=located_enu_m,
         )
 
@@ -214,8 +216,9 @@ class MeasurementBuilder:
 
     def height_sigma_m(self, sysid: int, now_s: float) -> float:
         """Return the 1-sigma of the heights that a trusted vehicle would have without its GPS, m."""
-        altitudes = self._vehicles.get(sysid, _UNHEARD).altitudes
-        return altitudes.sigma_m(now_s, self._barometers(), altitude_sigma_m=self.settings.altitude_sigma_m)
+        kept = self._vehicles.get(sysid, _UNHEARD)
+        sigma_m = hypot(self.settings.altitude_sigma_m, kept.heights.last_m)
+        return kept.altitudes.sigma_m(now_s, self._barometers(), altitude_sigma_m=sigma_m)
 
     def range_sigma_m(self, sysid: int) -> float | None:
         """Return the 1-sigma of a vehicle's ranges of late, with the errors of its peers' positions in it, m."""

@@ -28,6 +28,9 @@ _MOST_M = 10.0  # chosen: the accuracy of a receiver alone. More would blind the
 _TIMES_USUAL = 4.0  # chosen: of errors that are independent from report to report one in ten million is as large
 _REMEMBERED_S = 20.0  # chosen: the noise of reports is learned anew within some turns
 _LONGEST_GAP_S = 1.5  # chosen: reports at 1 Hz, a little late. Over a longer gap a turn looks like a jump
+_FIX_3D = 3
+_MOST_APART_M = 50.0  # chosen: 7 % of a climb of 700 m; a receiver's height that is further off is none, or of another datum
+_HEIGHTS_COMPARED_S = 10.0  # chosen: long against the noise of a receiver's height, short against a climb
 
 
 class ReceiverAccuracy(NamedTuple):
@@ -93,6 +96,36 @@ class PositionJumps:
         return self._jump_m * exp(-since_s / _SETTLES_S) if self._jump_m and since_s < _OVER_S else 0.0
 
 
+@dataclass(slots=True)
+class HeightDifference:
+    """How far the height that an autopilot reports is from its receiver's.
+
+    The autopilot's is a barometer's: on a day 20 K off the standard a climb is 7 % off, whatever accuracy the receiver states.
+    """
+
+    _mean_m: float | None = None
+    _at_s: float = 0.0
+
+    def mean_m(self, message: GlobalPosition, receiver: GpsReceiver | None) -> float:
+        """Add what both report; return the mean of the receiver's height less the autopilot's, m."""
+        now_s = message.received_at_s
+        if receiver is not None and receiver.fix_type >= _FIX_3D and abs(now_s - receiver.received_at_s) <= _LONGEST_GAP_S:
+            difference_m = receiver.alt_msl_m - message.alt_msl_m
+            if abs(difference_m) > _MOST_APART_M:
+                return self.last_m
+            if self._mean_m is None:
+                self._mean_m = difference_m
+            else:
+                self._mean_m += (1.0 - exp(-max(now_s - self._at_s, 0.0) / _HEIGHTS_COMPARED_S)) * (difference_m - self._mean_m)
+            self._at_s = now_s
+        return self.last_m
+
+    @property
+    def last_m(self) -> float:
+        """The last such mean, m."""
+        return self._mean_m or 0.0
+
+
 def reported_position(
     message: GlobalPosition,
     receiver: GpsReceiver | None,
@@ -100,12 +133,16 @@ def reported_position(
     frame: LocalFrame,
     settings: MeasurementSettings,
     jumps: PositionJumps,
+    heights: HeightDifference,
     *,
     is_trusted: bool,
 ) -> PositionMeasurement:
     """Return the position that a vehicle reports, with the accuracy of its receiver and what jumps add."""
     ned_mps = (message.vn_mps, message.ve_mps, message.vd_mps)
-    reported = _measure(message, ned_mps, receiver_accuracy(receiver, settings), measured, frame)
+    accuracy = receiver_accuracy(receiver, settings)
+    if is_trusted:
+        accuracy = accuracy._replace(sigma_v_m=hypot(accuracy.sigma_v_m, heights.mean_m(message, receiver)))
+    reported = _measure(message, ned_mps, accuracy, measured, frame)
     jump_m = jumps.sigma_m(reported, is_trusted=is_trusted)
     return replace(reported, sigma_h_m=hypot(reported.sigma_h_m, jump_m)) if jump_m else reported
 

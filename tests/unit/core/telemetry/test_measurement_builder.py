@@ -52,6 +52,23 @@ def test_where_it_states_none_its_dilution_tells_how_bad_the_receiver_is(hdop, h
     assert (measurement.sigma_h_m, measurement.sigma_v_m) == pytest.approx(expected)
 
 
+@pytest.mark.parametrize(("apart_m", "sigma_m"), [(14.0, 14.0), (-530.0, 0.5)])
+def test_a_height_is_no_better_known_than_autopilot_and_receiver_agree_on_it(apart_m, sigma_m):
+    """A barometer on a day 20 K off the standard, 200 m above the ground: 14 m off, where the receiver states 0.5 m.
+
+    A receiver that has no height, 0 m, says nothing of it.
+    """
+    feed = Builder(TimeSettings(min_delay_sigma_s=1e-6))
+    healthy = vehicle()
+    for tenth in range(300):
+        here = position(1.0 + tenth / 10)
+        healthy.receiver = replace(gps(1.0, 0.5), received_at_s=here.received_at_s, alt_msl_m=here.alt_msl_m + apart_m)
+        measurement = feed.measure(here, healthy)
+    assert isinstance(measurement, PositionMeasurement)
+    assert measurement.sigma_v_m == pytest.approx(sigma_m, abs=1.0)
+    assert measurement.sigma_h_m == pytest.approx(1.0)
+
+
 def test_an_uncertain_time_is_an_uncertain_place():
     feed = Builder(TimeSettings(min_delay_s=0.1, min_delay_sigma_s=0.5))
     moving, peer = vehicle(), vehicle(sysid=1)
