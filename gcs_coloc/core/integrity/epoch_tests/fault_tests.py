@@ -34,7 +34,7 @@ from functools import lru_cache
 import numpy as np
 
 from gcs_coloc.core.integrity.epoch_tests.epoch import MIN_INFORMATION_PER_M2, Epoch, Past, RangeResidual
-from gcs_coloc.core.integrity.epoch_tests.normal_equations import RANK_TOLERANCE, NormalEquations
+from gcs_coloc.core.integrity.epoch_tests.normal_equations import RANK_TOLERANCE, NormalEquations, pseudo_inverse
 from gcs_coloc.core.measurements import FloatArray
 
 WELL_PLACED_SIGMA_M = 10.0
@@ -108,7 +108,7 @@ def run_test(fit: Adjustment) -> FaultTestResult | None:
     without_prior = [v for v in fit.vehicles if fit.priors[v].no_prior]
     separation = {}
     for vehicle in without_prior:
-        moves = [fit.horizontal(vehicle, effect.corrections_m) for effect in plausible]
+        moves = [fit.placed_move_m(vehicle, effect, WELL_PLACED_SIGMA_M) for effect in plausible]
         separation[vehicle] = weight * sum((np.outer(move, move) for move in moves), start=np.zeros((2, 2)))
     return FaultTestResult(
         statistic=fit.statistic,
@@ -153,13 +153,16 @@ class FaultEffect:
     """The effect of one fault as further unknowns.
 
     `gain`, the fall of the statistic; `rank`, the number of unknowns that the residuals
-    determine; `size_m`, their values; `corrections_m`, all states with the fault left out.
+    determine; `size_m`, their values; `corrections_m`, all states with the fault left out. A fault of one metre moves them by
+    `pulls` (unknowns, states); `covariance_m2` is that of the unknowns.
     """
 
     gain: float
     rank: int
     size_m: FloatArray
     corrections_m: FloatArray
+    pulls: FloatArray
+    covariance_m2: FloatArray
 
 
 def adjust(now: Epoch, pasts: Sequence[Past]) -> list[Adjustment]:
@@ -205,8 +208,9 @@ class Adjustment:
         gain, rank = self.position_gain(vehicle)
         at = self._index[vehicle]
         size = self._solution.position_effects[2][self._number, at]
-        pull = size @ self._solution.information[self._number, 3 * at : 3 * at + 2]
-        return FaultEffect(gain, rank, size, self.corrections_m - self._solution.covariance_times(self._number, pull))
+        pulls = self._solution.covariance_times(self._number, self._solution.information[self._number, 3 * at : 3 * at + 2])
+        covariance_m2, _ = pseudo_inverse(self.position_information(vehicle))
+        return FaultEffect(gain, rank, size, self.corrections_m - size @ pulls, pulls, covariance_m2)
 
     def range_effect(self, chosen: Iterable[int]) -> FaultEffect:
         """Return the effect of one unknown length in all of the chosen residuals, given by their numbers."""
@@ -215,10 +219,22 @@ class Adjustment:
         moved = self._solution.covariance_times(self._number, c)
         left = alone - float(c @ moved)
         if left < max(RANK_TOLERANCE * alone, MIN_INFORMATION_PER_M2):
-            return FaultEffect(0.0, 0, np.zeros(1), self.corrections_m)
+            return FaultEffect(0.0, 0, np.zeros(1), self.corrections_m, moved[np.newaxis], np.zeros((1, 1)))
         score -= float(c @ self.corrections_m)
         size = score / left
-        return FaultEffect(score * size, 1, np.array([size]), self.corrections_m - moved * size)
+        corrections_m, covariance_m2 = self.corrections_m - moved * size, np.array([[1.0 / left]])
+        return FaultEffect(score * size, 1, np.array([size]), corrections_m, moved[np.newaxis], covariance_m2)
+
+    def placed_move_m(self, vehicle: int, effect: FaultEffect, placed_m: float) -> FloatArray:
+        """Return the horizontal correction (2,) of a vehicle without prior with a fault left out, m.
+
+        It is as far as the rest determines it, as in `placed_offset_m`: beside two peers in one line with the vehicle the noise
+        of a metre says that it is anywhere.
+        """
+        pulls = effect.pulls[:, 3 * self._index[vehicle] : 3 * self._index[vehicle] + 2]
+        spread_m2 = pulls.T @ effect.covariance_m2 @ pulls
+        move_m, sound_m = self.horizontal(vehicle, effect.corrections_m), self.horizontal(vehicle, self.corrections_m)
+        return sound_m + np.asarray(np.linalg.solve(spread_m2 / placed_m**2 + np.eye(2), move_m - sound_m))
 
     def placed_offset_m(self, vehicle: int, placed_m: float) -> FloatArray:
         """Return the horizontal correction d (2,) of a vehicle without prior, m.

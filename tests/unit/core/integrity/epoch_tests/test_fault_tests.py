@@ -135,3 +135,18 @@ def test_the_separation_is_the_displacement_without_the_faulty_vehicle():
     faulted = result_of(epoch(rng, mutual=True, faults={1: (16.0, -12.0, 0.0)}))
     # The offset without the faulty vehicle is the 10 m again, to three sigmas of the place that three ranges give.
     assert np.sqrt(np.trace(faulted.separation_m2[5])) == pytest.approx(10.0, abs=7.0)
+
+
+def test_near_the_line_of_two_peers_the_noise_of_a_range_separates_by_metres_not_by_hundreds():
+    """Without the third peer the ranges to both others say nothing of where it is across their line.
+
+    A plane that came within 90 m of such a line had no fix for 14 s: an error of 3 m was a separation of 210 m.
+    """
+    true = {1: (0.0, 650.0, 100.0), 2: (600.0, -350.0, 130.0), 3: (-600.0, -350.0, 160.0), 5: (0.0, -340.0, 120.0)}
+    priors = {v: PositionPrior(np.array(at), 0.5, 0.5, v == 5) for v, at in true.items()}
+    residuals = tuple(RangeResidual(5, peer, error_m, SIGMA_RANGE_M) for peer, error_m in ((1, 1.0), (2, 1.6), (3, 1.6)))
+    tested = result_of(Epoch(0.0, priors, residuals))
+    assert tested is not None
+    assert tested.is_consistent
+    assert tested.separation_m2[5].any()
+    assert np.sqrt(np.trace(tested.separation_m2[5])) < 20.0
