@@ -117,10 +117,10 @@ def learn_manoeuvres(record: VehicleRecord, report: PositionMeasurement, s: Flee
         )
 
 
-def _told_by_tilt(record: VehicleRecord, from_s: float, to_s: float) -> tuple[float, float]:
+def _told_by_tilt(record: VehicleRecord, from_s: float, to_s: float) -> tuple[float, float] | None:
     """Return by how much a vehicle's velocity changed between two times by its tilt, east and north, m/s."""
     attitudes = [m for m in record.own_measurements if isinstance(m, AttitudeMeasurement)] if record.profile.tilts else []
-    return tilted_velocity_mps(attitudes, from_s, to_s)
+    return tilted_velocity_mps(attitudes, from_s, to_s) if attitudes else None
 
 
 def initialise_from_ranges(clusters: ClusterSet, vehicle: int, at_s: float, open_sides: frozenset[int]) -> bool:

@@ -216,7 +216,7 @@ class NoiseLevel:
     compared: PositionMeasurement | None = None
     """The last report whose velocity was compared with that of an earlier one."""
     shown_log_level: float = -math.inf
-    """The same of all that its reports showed, with what its tilt tells of it."""
+    """The same of all that its reports showed, with what its tilt tells of it; none of a vehicle without tilt."""
 
     @property
     def level(self) -> float:
@@ -241,13 +241,13 @@ class NoiseLevel:
         density_m2ps3: float,
         time_s: float,
         most: float,
-        told_mps: Callable[[float, float], tuple[float, float]],
+        told_mps: Callable[[float, float], tuple[float, float] | None],
     ) -> None:
         """Adjust the level of a vehicle without states by the velocity that it reports, eq. (41).
 
         The change of that velocity since an earlier report is compared with its prediction. The level rises to `most` at most.
         `density_m2ps3` is that of its white acceleration at level 1, eq. (8). `told_mps` returns by how much the velocity changed
-        between two times by the vehicle's tilt, east and north.
+        between two times by the vehicle's tilt, east and north; None where no tilt is known.
         """
         if m.velocity_enu_mps is None or m.sigma_velocity_mps is None:
             return
@@ -266,8 +266,9 @@ class NoiseLevel:
             ratio = square_m2ps2 / (math.exp(log_level) * density_m2ps3 * since_s + noise_m2ps2)
             return learned_log_level(log_level, min(ratio, _MOST_RATIO), since_s, time_s, bounds)
 
-        self.shown_log_level = learned(max(self.shown_log_level, 0.0), (0.0, 0.0))
-        self.log_level = learned(self.log_level, told_mps(before.measured_at_s, m.measured_at_s))
+        told = told_mps(before.measured_at_s, m.measured_at_s)
+        self.shown_log_level = learned(max(self.shown_log_level, 0.0), (0.0, 0.0)) if told is not None else -math.inf
+        self.log_level = learned(self.log_level, told or (0.0, 0.0))
 
     def copy(self) -> NoiseLevel:
         """Return an independent copy."""

@@ -118,9 +118,8 @@ def reported(at_s: float, velocity_mps: tuple[float, float] | None) -> PositionM
     return PositionMeasurement(1, at_s, at_s, (0.0, 0.0, 50.0), 1.0, 1.0, velocity, None if velocity is None else 0.2)
 
 
-def untold(from_s: float, to_s: float) -> tuple[float, float]:
+def untold(from_s: float, to_s: float) -> None:
     """What a vehicle tells by its tilt that has none."""
-    return 0.0, 0.0
 
 
 def level_after(accelerations_mps: float, seed: int, end_s: float = 60.0, step_s: float = 0.2) -> float:
@@ -169,3 +168,15 @@ def test_what_its_tilt_tells_is_no_manoeuvre_as_long_as_it_tells():
     assert noise.level == 1.0
     assert noise.untold_level == other.level == other.untold_level > 50.0
     assert noise.copy().untold_level == noise.untold_level
+
+
+def test_without_tilt_the_level_falls_again_as_the_corrections_do():
+    """One that went to and fro at 15 m/s flies straight on once it is located: nothing holds its level up."""
+    noise = NoiseLevel()
+    for k in range(60):
+        noise.learn_from_report(reported(2.0 * k, (15.0 * (-1) ** k, 0.0)), 0.5, 20.0, 300.0, untold)
+    before = noise.untold_level
+    for k in range(1, 600):
+        noise.learn(120.0 + 0.1 * k, 20.0, (0.03, 300.0))
+        noise.corrections.update(120.0 + 0.1 * k, 3.0, (0.1, 0.0), (0.0, 0.1), (0.0, 0.0), (0.0, 0.0))
+    assert noise.untold_level < 0.2 * before
