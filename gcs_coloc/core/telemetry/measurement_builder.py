@@ -119,7 +119,7 @@ class MeasurementBuilder:
             self.frame,
             self._barometers(),
             booted_at_s=self._clocks.booted_at_s(message, measured),
-            altitude_sigma_m=hypot(self.settings.altitude_sigma_m, kept.heights.last_m),
+            altitude_sigma_m=self._altitude_sigma_m(kept),
             sent_fix=sent_fix,
             located_enu_m=located_enu_m,
         )
@@ -144,7 +144,7 @@ class MeasurementBuilder:
             measured,
             self.frame,
             self._barometers(),
-            altitude_sigma_m=hypot(self.settings.altitude_sigma_m, kept.heights.last_m),
+            altitude_sigma_m=self._altitude_sigma_m(kept),
             located_enu_m=located_enu_m,
         )
 
@@ -217,12 +217,15 @@ class MeasurementBuilder:
     def height_sigma_m(self, sysid: int, now_s: float) -> float:
         """Return the 1-sigma of the heights that a trusted vehicle would have without its GPS, m."""
         kept = self._vehicles.get(sysid, _UNHEARD)
-        sigma_m = hypot(self.settings.altitude_sigma_m, kept.heights.last_m)
-        return kept.altitudes.sigma_m(now_s, self._barometers(), altitude_sigma_m=sigma_m)
+        return kept.altitudes.sigma_m(now_s, self._barometers(), altitude_sigma_m=self._altitude_sigma_m(kept))
 
     def range_sigma_m(self, sysid: int) -> float | None:
         """Return the 1-sigma of a vehicle's ranges of late, with the errors of its peers' positions in it, m."""
         return self._vehicles.get(sysid, _UNHEARD).ranges.sigma_m
+
+    def _altitude_sigma_m(self, kept: _Vehicle) -> float:
+        """Return the 1-sigma of heights, m: the barometer's, and by how far it and the receiver last differed."""
+        return hypot(self.settings.altitude_sigma_m, kept.heights.last_m)
 
     def _barometers(self) -> Iterator[Barometer]:
         return (kept.altitudes.barometer for kept in self._vehicles.values())
