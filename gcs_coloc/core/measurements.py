@@ -221,6 +221,10 @@ class NoEstimateReason(WordedReason):
         "too uncertain: {value:.0f} m (1-sigma) horizontally; more or better placed ranges are needed{detail}",
     )
     UNTESTED = "untested", "found from ranges just now, which have not been tested against each other yet"
+    FAR_FROM_ORIGIN = (
+        "far_from_origin",
+        "{value:.0f} km from the origin, where the vehicle heard first said it was; restart the service without that vehicle",
+    )
     BEFORE_MEASUREMENTS = "before_measurements", "asked for a time {value:.1f} s before its newest measurement"
     ESTIMATOR_FAILED = "estimator_failed", "the estimator {detail}"
     OTHER = "other", "{detail}"

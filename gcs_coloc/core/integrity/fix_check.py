@@ -19,6 +19,7 @@ import numpy as np
 from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius, horizontal_sigma_m
 from gcs_coloc.core.integrity.epoch_tests.epoch import MIN_INFORMATION_PER_M2, Epoch, Past
 from gcs_coloc.core.integrity.epoch_tests.fault_tests import REST_LEVEL, Adjustment, adjust, chi2_limit, run_test
+from gcs_coloc.core.integrity.epoch_tests.gross_faults import gross_faults
 from gcs_coloc.core.integrity.epoch_tests.isolation import isolate
 from gcs_coloc.core.measurements import Estimate, FloatArray, PositionMeasurement
 
@@ -67,6 +68,9 @@ def check_fix(
     """
     difference_m = _difference_m(fix, estimate) if estimate is not None else None
     offset_m = float(np.hypot(*difference_m)) if difference_m is not None else None
+    gross_m = gross_faults(epoch).get(fix.vehicle)
+    if gross_m is not None:
+        return FixCheck(FixConsistency.AGAINST_RANGES, offset_m or gross_m, inf, ranged=True, fits_now=False)
     fits = adjust(epoch, list(pasts.values())) if epoch.residuals else []
     results = [run_test(fit) if fit.residuals else None for fit in fits]
     present = results[0] if results else None

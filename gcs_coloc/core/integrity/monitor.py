@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from math import dist
+from math import dist, hypot
 
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.geodesy import LocalFrame
@@ -42,6 +42,8 @@ from gcs_coloc.core.measurements import (
     Unlocated,
 )
 
+_FLAT_WITHIN_M = 800_000.0
+"""Horizontal coordinates in the frame of an estimate, at most. Chosen: 7 degrees off the vertical; at 13 the bounds fail."""
 _TESTED_WITHIN_S = 1.0
 """Ranges that have located a vehicle are tested by then, or cannot be. Chosen: two reviews more than ranges at 5 Hz take."""
 
@@ -129,8 +131,13 @@ class IntegrityMonitor:
     def protect(self, report: IntegrityReport, estimate: Estimate, exposure: Exposure) -> Estimate | NoEstimate:
         """Return the estimate as it may be stated: inflated by a report, with its protection level.
 
-        One that ranges alone have begun is not stated before a review has tested these ranges.
+        One that ranges alone have begun is not stated before a review has tested these ranges, and none so far from the frame's
+        origin that the frame's vertical is not that of the place.
         """
+        from_origin_m = hypot(*estimate.position_enu_m[:2])
+        if from_origin_m > _FLAT_WITHIN_M:
+            reason = Unlocated(NoEstimateReason.FAR_FROM_ORIGIN, value=from_origin_m / 1000.0)
+            return NoEstimate(estimate.vehicle, estimate.at_s, reason)
         if estimate.vehicle in report.untested:
             return NoEstimate(estimate.vehicle, estimate.at_s, Unlocated(NoEstimateReason.UNTESTED))
         inflated = report.inflate(estimate)

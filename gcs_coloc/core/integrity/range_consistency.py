@@ -7,7 +7,7 @@ Samples are independent where their windows do not overlap: an outlier that last
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from math import exp, inf, sqrt
@@ -17,8 +17,9 @@ import numpy as np
 
 from gcs_coloc.core.gps_health.evidence import FaultReason, PositionFault
 from gcs_coloc.core.integrity.detection import Detection
-from gcs_coloc.core.integrity.epoch_tests.epoch import INTERVALS_S, PERIOD_S, Epoch, EpochHistory, Past
-from gcs_coloc.core.integrity.epoch_tests.fault_tests import RULED_OUT_MARGIN, FaultTestResult, run_tests
+from gcs_coloc.core.integrity.epoch_tests.epoch import INTERVALS_S, MIN_SIGMA_M, PERIOD_S, Epoch, EpochHistory, Past
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import RULED_OUT_MARGIN, WELL_PLACED_SIGMA_M, FaultTestResult, run_tests
+from gcs_coloc.core.integrity.epoch_tests.gross_faults import gross_faults, without_gross_faults
 from gcs_coloc.core.integrity.epoch_tests.isolation import Isolation, IsolationPersistence, isolate
 from gcs_coloc.core.integrity.epoch_tests.noise_evidence import AccuracyEvidence, SmallerNoise, explain_inconsistency
 from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel
@@ -99,6 +100,7 @@ class RangeConsistency:
         self._detection = Detection()
         self._epochs = EpochHistory()
         self._persistence = {interval_s: IsolationPersistence() for interval_s in (0.0, *INTERVALS_S)}
+        self._grossly_off = IsolationPersistence()
         self._pairs_fail_until_s = float("-inf")
         self._smaller_noise = SmallerNoise()
         self._accuracy = AccuracyEvidence()
@@ -144,6 +146,8 @@ class RangeConsistency:
             return
         self._due_s = now_s + PERIOD_S - SAME_S
         whole, left = self.residuals.epoch(now_s, self.detected), self.noise.after(PERIOD_S)
+        self._identify_gross_faults(whole)
+        whole = without_gross_faults(whole)
         tests = self._test(whole, left)
         self.noise = self._find_noise(whole, tests.results.get(0.0), left, now_s, doubtful)
         self.unisolated.add(self.noise, now_s)
@@ -155,7 +159,8 @@ class RangeConsistency:
         used = (self.noise.expose(whole) if self.noise.unisolated else stated).without_priors(not_used)
         tests = self._test(used, self.noise, not_used) if used is not stated else tests
         self._update_decayed(tests, now_s, whole.reporting)
-        self.stated_epoch = self.noise.expose(self.residuals.sparse_epoch(now_s, whole)).without_priors(not_used)
+        sparse = without_gross_faults(self.residuals.sparse_epoch(now_s, whole))
+        self.stated_epoch = self.noise.expose(sparse).without_priors(not_used)
         self.epoch = self.noise.apply(self.stated_epoch)
         self._epochs.append(stated)
         self._update_separation(now_s)
@@ -248,6 +253,16 @@ class RangeConsistency:
                     identified[vehicle] = size_m
         return identified, coarse
 
+    def _identify_gross_faults(self, whole: Epoch) -> None:
+        """Identify the vehicles that enough independent samples show to be grossly off."""
+        seen, found = self._grossly_off, gross_faults(whole)
+        if whole.began_s > seen.sampled_until_s:
+            seen.sampled_until_s = whole.ended_s
+            seen.isolated = Counter({vehicle: seen.isolated[vehicle] + 1 for vehicle in found})
+            persistent = {vehicle: size_m for vehicle, size_m in found.items() if seen.isolated[vehicle] >= _IDENTIFY_AFTER}
+            if persistent:
+                self._identify(persistent, whole)
+
     def _identify(self, identified: Mapping[int, float], epoch: Epoch) -> None:
         for vehicle, size_m in identified.items():
             peers = {v for residual in epoch.residuals for v in residual.pair if vehicle in residual.pair}
@@ -311,6 +326,9 @@ class RangeConsistency:
             is_lasting = is_alert and (bool(self.detected) or not is_confirmed)
             decay = exp(-PERIOD_S / (_ALERT_DECAY_TIME_S if is_lasting else _DECAY_TIME_S))
             old = found.decayed_m2
+            if old is not None and is_confirmed and not self.detected:
+                # Positions that are kilometres off have left the estimate where the ranges place it without them.
+                old = old * min(1.0, WELL_PLACED_SIGMA_M**2 / max(_trace(old), MIN_SIGMA_M**2))
             found.decayed_m2 = old * decay if old is not None and _trace(old) * decay > _trace(new) else new
 
     def _update_separation(self, now_s: float) -> None:
