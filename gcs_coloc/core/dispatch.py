@@ -32,6 +32,7 @@ from gcs_coloc.core.messages.inbound import (
     Pressure,
     SystemTime,
     TimeSyncAnswer,
+    VtolState,
 )
 from gcs_coloc.core.messages.outbound import Notice, Outbound
 from gcs_coloc.core.readiness.readiness_review import RecentRanges
@@ -122,7 +123,9 @@ class MessageDispatch:
             case SystemTime():
                 s.clocks.add_system_time(message, gps_is_trusted=last_round(sysid).is_trusted)
             case Heartbeat():
-                self._add_heartbeat(message)
+                self._add_class(sysid, message.received_at_s, message.vehicle_class, vehicle)
+            case VtolState() if vehicle.winged:
+                self._add_class(sysid, message.received_at_s, VehicleClass.PLANE, vehicle)
             case TimeSyncAnswer():
                 s.clocks.add_answer(message)
             case CommandResult():
@@ -133,11 +136,12 @@ class MessageDispatch:
                 return s.aiding.add_parameter(message)
         return []
 
-    def _add_heartbeat(self, message: Heartbeat) -> None:
-        found, at_s = message.vehicle_class, message.received_at_s
-        if found is not None and found is not self._classes.get(message.sysid):
-            self._classes[message.sysid] = found
-            self._stages.estimator.add(VehicleClassReport(message.sysid, at_s, at_s, found))
+    def _add_class(self, sysid: int, at_s: float, reported: VehicleClass | None, vehicle: ReportedState) -> None:
+        """Tell the estimator a changed vehicle class; a VTOL on its rotors is a multirotor."""
+        found = VehicleClass.MULTIROTOR if vehicle.winged and vehicle.on_rotors else reported
+        if found is not None and found is not self._classes.get(sysid):
+            self._classes[sysid] = found
+            self._stages.estimator.add(VehicleClassReport(sysid, at_s, at_s, found))
 
     def _add_position(self, message: GlobalPosition, vehicle: ReportedState, last: LastRound) -> None:
         built = self._stages.measurements.position(

@@ -25,6 +25,7 @@ from gcs_coloc.core.messages.inbound import (
     ReceiverIntegrity,
     SystemHealth,
     SystemTime,
+    VtolState,
 )
 from gcs_coloc.mavlink import answers, checks, ranges
 from gcs_coloc.mavlink._generated import gcs_coloc
@@ -42,6 +43,8 @@ GPS_GLITCH_ARDUPILOT = 1 << 15
 
 _MOST_GEOID_HEIGHT_M = 110.0
 """The geoid is -107 to +86 m from the ellipsoid (EGM96)."""
+_ON_ROTORS = frozenset((mavlink.MAV_VTOL_STATE_TRANSITION_TO_MC, mavlink.MAV_VTOL_STATE_MC))
+_VTOL_STATES = _ON_ROTORS | {mavlink.MAV_VTOL_STATE_TRANSITION_TO_FW, mavlink.MAV_VTOL_STATE_FW}
 _INTERFERENCE = {state.value: state for state in Interference}
 """A state that is not known yet is UNKNOWN: the message is work in progress."""
 
@@ -223,6 +226,14 @@ def vfr_hud(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Airspe
     return Airspeed(sysid=sysid, received_at_s=received_at_s, airspeed_mps=checks.speed_mps(airspeed, Field.AIRSPEED))
 
 
+def extended_sys_state(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> VtolState | None:
+    """EXTENDED_SYS_STATE (245); None of a vehicle that is no VTOL."""
+    vtol_state, _landed_state = values
+    if vtol_state not in _VTOL_STATES:
+        return None
+    return VtolState(sysid=sysid, received_at_s=received_at_s, on_rotors=vtol_state in _ON_ROTORS)
+
+
 def scaled_pressure(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Pressure:
     """SCALED_PRESSURE (29): the first barometer."""
     boot_ms, pressure_hpa, *_ = values
@@ -259,6 +270,7 @@ AUTOPILOT_CONVERTERS: Mapping[int, Converter] = MappingProxyType(
         mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: ekf_status_report,
         mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: estimator_status,
         mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE: scaled_pressure,
+        mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: extended_sys_state,
         mavlink.MAVLINK_MSG_ID_COMMAND_ACK: answers.command_ack,
         mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: answers.gps_global_origin,
         mavlink.MAVLINK_MSG_ID_PARAM_VALUE: answers.param_value,

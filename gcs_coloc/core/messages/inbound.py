@@ -188,6 +188,16 @@ class Airspeed(FromVehicle):
 
 
 @dataclass(frozen=True, slots=True)
+class VtolState(FromVehicle):
+    """EXTENDED_SYS_STATE (245) of a vehicle that can hover and fly on wings: whether it is on its rotors.
+
+    It is so from the transition back to them on; in that to its wings another propeller or a tilted rotor accelerates it.
+    """
+
+    on_rotors: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Pressure(FromVehicle):
     """SCALED_PRESSURE (29): absolute air pressure by the vehicle's first barometer."""
 

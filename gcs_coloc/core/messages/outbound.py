@@ -150,6 +150,7 @@ class Stream(Enum):
     SYSTEM_TIME = "SYSTEM_TIME"
     PRESSURE = "SCALED_PRESSURE"
     RECEIVER_INTEGRITY = "GNSS_INTEGRITY"
+    VTOL_STATE = "EXTENDED_SYS_STATE"
 
 
 @dataclass(frozen=True, slots=True)

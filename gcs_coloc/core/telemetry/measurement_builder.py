@@ -151,7 +151,8 @@ class MeasurementBuilder:
     def attitude(self, message: Attitude, vehicle: ReportedState) -> AttitudeMeasurement | None:
         """Build an attitude with the newest true airspeed, if that is fresh and the vehicle flies on wings.
 
-        A multirotor flies to any side, and banks to do so without turning: its airspeed says nothing of its course.
+        A multirotor, or a VTOL on its rotors, flies to any side, and banks to do so without turning: its airspeed says nothing of
+        its course.
         None where it only repeats the one before, or its stamp is refused.
         """
         measured = self._clocks.stamp(message)
@@ -161,7 +162,7 @@ class MeasurementBuilder:
             self.refused[CoreRefusal.ATTITUDE_REPEATED] += 1
             return None
         air = vehicle.airspeed
-        fresh = vehicle.winged and air is not None and message.received_at_s - air.received_at_s <= _AIRSPEED_FRESH_S
+        fresh = vehicle.on_wings and air is not None and message.received_at_s - air.received_at_s <= _AIRSPEED_FRESH_S
         if fresh:
             self._vehicles[message.sysid].attitude_at_s = measured.at_s
         return AttitudeMeasurement(

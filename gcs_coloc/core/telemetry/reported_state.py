@@ -21,6 +21,7 @@ from gcs_coloc.core.messages.inbound import (
     ReceiverIntegrity,
     SystemHealth,
     SystemTime,
+    VtolState,
 )
 from gcs_coloc.core.messages.outbound import Stream
 from gcs_coloc.core.telemetry.stream_requests import HeardStreams
@@ -40,6 +41,7 @@ _STREAMS = {
     Airspeed: Stream.AIRSPEED,
     SystemHealth: Stream.SYSTEM_HEALTH,
     SystemTime: Stream.SYSTEM_TIME,
+    VtolState: Stream.VTOL_STATE,
     Pressure: Stream.PRESSURE,
     ReceiverIntegrity: Stream.RECEIVER_INTEGRITY,
 }
@@ -89,7 +91,8 @@ class ReportedState:
 
     `blocked` is why the links can send it nothing, None where they can; `blocked_wording` says it to people.
     `shared_with` are the other vehicles at its address, `route_at_s` is when the links reported that last.
-    `winged`: it flies along its nose and turns by banking. `mode` is the name of its flight mode.
+    `winged`: it flies along its nose and turns by banking. `on_rotors`: not now, a VTOL hovers. `mode` is the name of its flight
+    mode.
     `attitude` is the newest one that does not only repeat the one before.
     `receiver` and `integrity` are the newest messages of its own GPS receiver, not of the one that the service feeds.
     `counts`: how often each stream was heard since the first message.
@@ -100,6 +103,7 @@ class ReportedState:
     last_heard_s: float
     autopilot: Autopilot | None = None
     winged: bool = False
+    on_rotors: bool = False
     armed: bool | None = None
     mode: str | None = None
     blocked: RouteBlock | None = RouteBlock.NO_HEARTBEAT
@@ -121,10 +125,15 @@ class ReportedState:
         ekf = self.ekf
         return ekf is not None and ekf.horizontal_position_absolute and now_s - ekf.received_at_s <= _EKF_FRESH_S
 
+    @property
+    def on_wings(self) -> bool:
+        """Whether it flies along its nose now, as far as it tells."""
+        return self.winged and not self.on_rotors
+
     def has_air_data(self, now_s: float) -> bool:
         """Return whether airspeed and attitude, both of late, show the motion: on wings and fast enough."""
         air, attitude = self.airspeed, self.attitude
-        if not self.winged or air is None or attitude is None or air.airspeed_mps < LEAST_AIRSPEED_MPS:
+        if not self.on_wings or air is None or attitude is None or air.airspeed_mps < LEAST_AIRSPEED_MPS:
             return False
         return now_s - min(air.received_at_s, attitude.received_at_s) <= AIR_DATA_FRESH_S
 
@@ -172,6 +181,8 @@ class Telemetry:
                     state.attitude = message
             case Airspeed():
                 state.airspeed = message
+            case VtolState():
+                state.on_rotors = message.on_rotors
             case GpsReceiver():
                 state.counts[Stream.FIRST_RECEIVER if message.receiver == 0 else Stream.SECOND_RECEIVER] += 1
                 if message.receiver == self.own_receiver:
@@ -210,7 +221,7 @@ class Telemetry:
 
     def heard_streams(self) -> Iterator[HeardStreams]:
         """Return what each vehicle whose autopilot is known has sent so far."""
-        return (HeardStreams(v.sysid, v.autopilot, v.counts) for v in self if v.autopilot is not None)
+        return (HeardStreams(v.sysid, v.autopilot, v.counts, v.winged) for v in self if v.autopilot is not None)
 
     def get(self, sysid: int) -> ReportedState | None:
         """Return the reported state of a vehicle, None where it was never heard."""

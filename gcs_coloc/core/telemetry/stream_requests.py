@@ -24,6 +24,8 @@ _OF_ALL_HZ = {
 }
 _OF_ARDUPILOT_HZ = {Stream.SECOND_RECEIVER: 5.0, Stream.EKF_STATUS: 2.0}
 _OF_PX4_HZ = {Stream.ESTIMATOR_STATUS: 2.0}
+_OF_WINGED_HZ = {Stream.VTOL_STATE: 2.0}
+"""Of planes: many of them are VTOLs, and ArduPilot's tell it nowhere else."""
 _WHERE_KNOWN_HZ = {Stream.RECEIVER_INTEGRITY: 1.0}
 _WINDOW_S = 4.0  # chosen: four messages of the slowest stream
 _FIRST_RETRY_S = 8.0  # chosen: two windows, so that what was requested has had one of its own
@@ -46,6 +48,7 @@ class HeardStreams(NamedTuple):
     sysid: int
     autopilot: Autopilot | None
     counts: Mapping[Stream, int]
+    winged: bool = False
 
 
 @dataclass(slots=True)
@@ -79,6 +82,8 @@ class StreamRequests:
             if span_s < _WINDOW_S:
                 continue
             wanted = wanted_hz(vehicle.autopilot)
+            if vehicle.winged:
+                wanted = {**wanted, **_OF_WINGED_HZ}
             missing = [
                 stream
                 for stream, hz in wanted.items()

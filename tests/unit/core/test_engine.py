@@ -19,7 +19,7 @@ from gcs_coloc.core.measurements import (
     VehicleClassReport,
 )
 from gcs_coloc.core.messages.control import ClockReference, GpsOverride, OperatorCommand, RouteBlock, RouteReport
-from gcs_coloc.core.messages.inbound import Attitude, Autopilot, GlobalPosition, Heartbeat, PeerRange, TimeBase
+from gcs_coloc.core.messages.inbound import Attitude, Autopilot, GlobalPosition, Heartbeat, PeerRange, TimeBase, VtolState
 from gcs_coloc.core.messages.outbound import AidingMessage, ExternalPosition, GpsInput, Notice, Stream, StreamRequest
 from gcs_coloc.core.telemetry.stream_requests import wanted_hz
 
@@ -300,7 +300,10 @@ def test_missing_streams_are_asked_for_ever_less_often_and_at_once_after_a_reboo
     out = fly(engine, 0.0, 60.0, sysids=[1])
     asked = [(t, o) for t, o in out if isinstance(o, StreamRequest)]
     sent = {Stream.POSITION, Stream.FIRST_RECEIVER, Stream.ATTITUDE, Stream.AIRSPEED}  # by telemetry()
-    assert {o.stream for _, o in asked} == wanted_hz(Autopilot.ARDUPILOT).keys() - sent | {Stream.RECEIVER_INTEGRITY}
+    assert {o.stream for _, o in asked} == wanted_hz(Autopilot.ARDUPILOT).keys() - sent | {
+        Stream.RECEIVER_INTEGRITY,
+        Stream.VTOL_STATE,
+    }
     times = sorted({t for t, _ in asked})
     assert times == pytest.approx([4.0, 12.0, 28.0], abs=1.0)
     for i in range(80):
@@ -361,4 +364,19 @@ def test_the_class_of_a_vehicle_reaches_the_estimator_once_and_when_it_changes()
     assert [(m.vehicle, m.measured_at_s, m.vehicle_class) for m in told] == [
         (2, 1.0, VehicleClass.PLANE),
         (2, 4.0, VehicleClass.MULTIROTOR),
+    ]
+
+
+def test_a_vtol_on_its_rotors_is_a_multirotor_to_the_estimator():
+    """The HEARTBEAT of ArduPilot's QuadPlane goes on to say that it is a plane."""
+    estimator = StraightLine()
+    engine = Engine(estimator, settings())
+    for t, on_rotors in enumerate([False, True, True, False]):
+        engine.receive(Heartbeat(2, float(t), Autopilot.ARDUPILOT, armed=True, winged=True, vehicle_class=VehicleClass.PLANE))
+        engine.receive(VtolState(2, t + 0.5, on_rotors=on_rotors))
+    told = [m for m in estimator.taken if isinstance(m, VehicleClassReport)]
+    assert [(m.measured_at_s, m.vehicle_class) for m in told] == [
+        (0.0, VehicleClass.PLANE),
+        (1.5, VehicleClass.MULTIROTOR),
+        (3.5, VehicleClass.PLANE),
     ]

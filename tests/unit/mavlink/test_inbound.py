@@ -39,6 +39,7 @@ from gcs_coloc.core.messages.inbound import (
     SystemTime,
     TimeBase,
     TimeSyncAnswer,
+    VtolState,
 )
 from gcs_coloc.core.stations.node_id import station_node
 from gcs_coloc.mavlink.decoder import Decoder
@@ -117,6 +118,16 @@ def beat(
             heartbeat(mavlink.MAV_TYPE_AIRSHIP, autopilot=mavlink.MAV_AUTOPILOT_PX4),
             beat(Autopilot.PX4, "0", vehicle_class=None),
         ),
+        (mavlink.MAVLink_extended_sys_state_message(mavlink.MAV_VTOL_STATE_MC, 2), VtolState(1, NOW_S, on_rotors=True)),
+        (
+            mavlink.MAVLink_extended_sys_state_message(mavlink.MAV_VTOL_STATE_TRANSITION_TO_MC, 2),
+            VtolState(1, NOW_S, on_rotors=True),
+        ),
+        (
+            mavlink.MAVLink_extended_sys_state_message(mavlink.MAV_VTOL_STATE_TRANSITION_TO_FW, 2),
+            VtolState(1, NOW_S, on_rotors=False),
+        ),
+        (mavlink.MAVLink_extended_sys_state_message(mavlink.MAV_VTOL_STATE_FW, 2), VtolState(1, NOW_S, on_rotors=False)),
         (
             heartbeat(mavlink.MAV_TYPE_VTOL_TILTROTOR),
             beat(Autopilot.ARDUPILOT, "MANUAL"),

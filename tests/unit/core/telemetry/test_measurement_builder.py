@@ -130,6 +130,15 @@ def test_airspeed_is_the_true_one_at_the_vehicles_altitude_and_only_where_it_fli
     assert measurement.airspeed_mps == airspeed_mps
 
 
+def test_a_vtol_on_its_rotors_has_no_airspeed_that_tells_its_course():
+    feed, record = Builder(), vehicle()
+    record.winged, record.on_rotors, record.airspeed = True, True, Airspeed(4, 10.0, 12.0)
+    hovering = feed.measure_attitude(Attitude(4, 10.1, 10.1, 0.1, 0.2, 0.3), record)
+    record.on_rotors = False
+    flying = feed.measure_attitude(Attitude(4, 10.2, 10.2, 0.1, 0.2, 0.3), record)
+    assert (hovering.airspeed_mps, flying.airspeed_mps) == (None, 12.0)
+
+
 def test_a_jumping_clock_is_refused_and_counted():
     feed = Builder()
     record = vehicle()

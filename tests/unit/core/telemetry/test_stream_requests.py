@@ -34,6 +34,20 @@ def test_each_autopilot_is_asked_for_the_status_of_its_own_filter():
     assert Stream.ESTIMATOR_STATUS not in wanted_hz(Autopilot.ARDUPILOT)
 
 
+def test_a_plane_alone_is_asked_whether_it_is_on_its_rotors_until_it_tells():
+    """ArduPilot's QuadPlanes are planes by their HEARTBEAT and tell it only where they are asked."""
+    plane, copter = StreamRequests(), StreamRequests()
+    asked = {True: 0, False: 0}
+    for t in range(30):
+        for requests, winged in ((plane, True), (copter, False)):
+            out = requests.due(float(t), [HeardStreams(3, Autopilot.ARDUPILOT, {}, winged)])
+            asked[winged] += Stream.VTOL_STATE in {request.stream for request in out}
+    assert asked == {True: 3, False: 0}  # after 4, 12 and 28 s
+    heard = StreamRequests()
+    out = [heard.due(float(t), [HeardStreams(3, Autopilot.ARDUPILOT, {Stream.VTOL_STATE: 2 * t}, True)]) for t in range(30)]
+    assert Stream.VTOL_STATE not in {request.stream for each in out for request in each}
+
+
 def test_what_few_autopilots_know_is_requested_once_and_again_after_a_reboot_and_not_where_it_comes():
     requests = StreamRequests()
     asked_s = [t for t in range(60) if Stream.RECEIVER_INTEGRITY in requested(requests, float(t))]
