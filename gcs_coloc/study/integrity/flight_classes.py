@@ -181,6 +181,7 @@ _COPTERS = replace(
     extent_m=(80.0, 400.0),
 )
 _STEP = Spoofing(step_m=(30.0, 300.0))
+_AIRPORT = Spoofing(step_m=(20_000.0, 300_000.0))  # chosen: as far as spoofers state the nearest airports
 _RAMP = Spoofing(ramp_mps=(0.2, 5.0))
 
 
@@ -276,6 +277,8 @@ _ALL = (
            spoofing=_STEP, telemetry_s=(1.0, 2.0), range_hz=(1.0, 2.0)),
     _fault("slow-telemetry-ramp", "one peer's receiver is drawn off at 0.2 to 5 m/s, the same telemetry", spoofing=_RAMP,
            telemetry_s=(1.0, 2.0), range_hz=(1.0, 2.0)),
+    _fault("spoofed-airport", "one peer's receiver states a place 20 to 300 km away", spoofing=_AIRPORT),
+    _fault("own-airport", "the vehicle's own receiver does", spoofing=replace(_AIRPORT, own=True)),
     _fault("two-alike-step", "two receivers step alike", spoofing=replace(_STEP, receivers=2), peers=(4, 5)),
     _fault("two-alike-ramp", "two receivers are drawn off alike", spoofing=replace(_RAMP, receivers=2), peers=(4, 5)),
     _fault("two-unlike-step", "two receivers step, each its own way", spoofing=replace(_STEP, receivers=2, is_alike=False)),

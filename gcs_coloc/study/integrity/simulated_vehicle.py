@@ -125,7 +125,7 @@ class SimulatedVehicle:
         if self.has_fix(at_s):
             noise_m = scaled(errors.white_m, self._white())
             place = _plus(_plus(self.course.position(at_s), errors.slow_m(at_s)), noise_m)
-            lla = self.frame.to_lla(*_plus(place, self.false_m(at_s)))
+            lla = self._stated(place, self.false_m(at_s))
             own = GpsReceiver(
                 *(sysid, arrival_s, 0, 3, *lla, 14, 0.8, stated_m, vertical_m, _DOPPLER_STATED_MPS, boot_s),
                 velocity_ne_mps=self._doppler_ne_mps(at_s),
@@ -136,6 +136,11 @@ class SimulatedVehicle:
         if aid is None or at_s - aid[0] >= _AID_FRESH_S:
             return [own]
         return [own, GpsReceiver(sysid, arrival_s, 1, 3, *self.frame.to_lla(*aid[1]), 10, 1.0, 1.0, 1.0, 0.5, boot_s)]
+
+    def _stated(self, place: Vector3, false_m: Vector3) -> Vector3:
+        """Return latitude, longitude (degrees) and altitude (m) of a place displaced along the earth."""
+        lat, lon, alt = self.frame.to_lla(*_plus(place, false_m))
+        return lat, lon, alt if false_m == _NOWHERE else self.frame.to_lla(*place)[2]
 
     def _doppler_ne_mps(self, at_s: float) -> tuple[float, float]:
         false_mps = self.fault.doppler_mps(at_s) if self.fault is not None else _NOWHERE
@@ -150,7 +155,7 @@ class SimulatedVehicle:
         """
         arrival_s, errors, course = self.arrival_s(at_s), self.receiver, self.course
         true_m, velocity_mps = course.position(at_s), _plus(course.velocity(at_s), errors.velocity_mps(at_s))
-        place = _plus(true_m, errors.slow_m(at_s))
+        place, false_m = _plus(true_m, errors.slow_m(at_s)), _NOWHERE
         if self.is_aided(at_s) and self.aid is not None:
             heard_s, fix_m, velocity_mps = self.aid
             place = _plus(fix_m, scaled(at_s - heard_s + _AID_AGE_S, velocity_mps))
@@ -158,13 +163,13 @@ class SimulatedVehicle:
             lost_s = max(at_s - self.lost_at_s, 0.0)
             place, velocity_mps = _plus(place, scaled(lost_s, self.reckoning_mps)), _plus(velocity_mps, self.reckoning_mps)
         elif not self.refuses_receiver(at_s):
-            place = _plus(place, self.false_m(at_s))
+            false_m = self.false_m(at_s)
             if not self.drawn.filters_positions:
                 place = _plus(place, scaled(errors.white_m, self._white()))
             if self.fault is not None and at_s >= self.fault.at_s:
                 velocity_mps = _plus(velocity_mps, scaled(self.fault.ramp_mps, self.fault.away))
         jump_m = self.barometer_jump.offset_m(at_s) if self.barometer_jump is not None else 0.0
-        lat, lon, alt = self.frame.to_lla(place[0], place[1], true_m[2] + errors.height_m(at_s) + jump_m)
+        lat, lon, alt = self._stated((place[0], place[1], true_m[2] + errors.height_m(at_s) + jump_m), false_m)
         if self.lost_at_s < 0.0 and not self.is_aided(at_s):
             lat, lon = 0.0, 0.0  # as ArduPilot reports without an origin
         ve, vn, vu = velocity_mps
