@@ -41,7 +41,7 @@ from gcs_coloc.core.measurements import (
     VehicleClassReport,
 )
 from gcs_coloc.core.readiness.vehicle_readiness import limiting_reason, unit_vectors
-from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NoiseSplit
+from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NoiseSplit, PairNoise
 from gcs_coloc.estimators.fleet.ekf.measurement_models import REPORT_VELOCITY_TIME_S
 from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import pair_key
@@ -214,8 +214,9 @@ class _Recursion:
 
     def _feed_range(self, sysid: int, node: int, here: Mapping[int, Vector3], at_s: float) -> None:
         there = self._stations[node].position_enu_m if node in self._stations else here[node]
+        known = _known_split((self._range_sigma_m,), 1.0)
         for model in self._models():
-            model.pairs[pair_key(sysid, node, 0)] = _known_split((self._range_sigma_m,), 1.0)
+            model.pairs[pair_key(sysid, node, 0)] = PairNoise(known, known)
         range_m, samples = math.dist(here[sysid], there), self._ranges_a_step
         self._filter.apply(RangeMeasurement(sysid, node, at_s, at_s, range_m, self._range_sigma_m, samples=samples))
 

@@ -22,7 +22,7 @@ from gcs_coloc.core.measurements import (
     VehicleClassReport,
 )
 from gcs_coloc.estimators.fleet.ambiguity.range_evidence import add_missed_turn, monitor_range
-from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, NoiseSplit, without_time_error
+from gcs_coloc.estimators.fleet.ekf.adaptive_noise import PairNoise, without_time_error
 from gcs_coloc.estimators.fleet.ekf.air_data import AIR_UNSUSPECTED
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster, ClusterSet
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome, UpdateResult
@@ -65,7 +65,7 @@ class FleetModel:
         self.settings = settings
         self.records = Records(unreported=motion_profile(None, settings))
         self.clusters = ClusterSet(settings, self.records)
-        self.pairs: dict[tuple[int, int, int], NoiseSplit] = {}
+        self.pairs: dict[tuple[int, int, int], PairNoise] = {}
         self.considered_m: dict[Key, float] = {}
         self._pruned_at_s = -math.inf
 
@@ -231,12 +231,12 @@ class FleetModel:
             cluster = self.clusters.merge(*ends)
         pair = pair_key(*ends, m.device_id)
         sigma_m, _ = without_time_error(m)
-        noise = self.pairs.get(pair, NO_SAMPLES).updated(m.measured_at_s, ((m.range_m,),), (sigma_m,))
-        self.pairs[pair] = noise
-        coloured_m = self.settings.range_coloured_share * noise.split(0, sigma_m, self.settings.least_coloured_share)[1]
+        before = self.pairs.get(pair, PairNoise())
+        noise = self.pairs[pair] = before.updated(m.measured_at_s, m.range_m, sigma_m)
+        coloured_m = self.settings.range_coloured_share * noise.used.split(0, sigma_m, self.settings.least_coloured_share)[1]
         if m.clock_of in ends:
             change_time_stamp_offset_sigma(cluster, m.clock_of, time_stamp_offset_sigma_s(m, self.settings))
-        scatter_m = noise.lower_bound_m(0)
+        scatter_m = noise.every.lower_bound_m(0)
         bias = pair_bias(denied, m)
         self._consider_bias(cluster, pair, bias)
         unbiased = m if bias is None else replace(m, range_m=max(m.range_m - bias.mean_m, 0.0))
@@ -248,7 +248,9 @@ class FleetModel:
             # Models are compared by the first try.
             again = update_range(cluster, pair, unbiased, white_m, coloured_m, self.considered_m, unknown)
             result = result._replace(outcome=again.outcome)
-        if result.used and len(denied) == 1:
+        if not result.used:
+            self.pairs[pair] = noise._replace(used=before.used)
+        elif len(denied) == 1:
             observe_bias(cluster, *denied[0][:2], m, white_m, coloured_m)
         for denied_vehicle, other, _ in denied:
             decide_unshown_motion(cluster, denied_vehicle, result, m)

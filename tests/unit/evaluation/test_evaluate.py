@@ -213,7 +213,8 @@ def test_the_figures_are_those_worked_out_by_hand():
 def test_real_outdoor_ranges_are_located_as_well_as_with_an_inertial_unit():
     evaluation = evaluate(recording("hanyang") / "los_b4", FleetFilter())
     (denied_vehicle,) = evaluation.denied
-    assert denied_vehicle.score.share_known == 1.0
+    # One epoch of 791 fits another place, 2.6 m away, as well.
+    assert denied_vehicle.score.share_known > 0.998
     assert denied_vehicle.score.spatial is not None
     assert denied_vehicle.score.spatial.rmse_m <= 0.70  # the authors' filter with an inertial unit
 

@@ -27,7 +27,13 @@ from gcs_coloc.estimators.fleet.ambiguity.reflection import (
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
 from gcs_coloc.estimators.fleet.ekf.process_model import ATTITUDE_HELD_S, NOTICED_INTERVAL_S, shows_its_motion
-from gcs_coloc.estimators.fleet.ekf.records import Neighbour, ReflectionEvidence, UnresolvedOutlier, VehicleRecord
+from gcs_coloc.estimators.fleet.ekf.records import (
+    Neighbour,
+    ReflectionEvidence,
+    SuspectedDevice,
+    UnresolvedOutlier,
+    VehicleRecord,
+)
 from gcs_coloc.estimators.fleet.ekf.state import POSITION, pair_key
 from gcs_coloc.estimators.fleet.ekf.update import missed_turn_covariance
 from gcs_coloc.estimators.fleet.settings import FleetSettings
@@ -41,6 +47,10 @@ _REFUSED_MEMORY = 0.7
 """Chosen: share of the mean squared innovation that the next refused range keeps: the mean of the last three."""
 _INFLATION_KEPT = 0.8
 """Chosen: each used range takes a fifth of the noise inflation away: half is gone after three ranges that agree."""
+_SUSPICION_KEPT = 0.2
+"""Chosen: share of the suspicion that a range within one sigma leaves. One of a faulty device, anywhere within the gate of four
+sigmas, is so by chance, one time in four."""
+_TRUSTED_SHARE = 0.1  # chosen: a device is suspected no more once that adds a tenth to the variance of its ranges
 _LEAST_INFORMATION = 1e-6  # keeps the determinant of the direction matrix positive with one neighbour
 _ENOUGH_RANGES = 2  # chosen: two refused ranges in a row that fit the reflected position open a hypothesis; one may be multipath
 _SMALLER_SHARE = 0.9  # chosen: the ranges after a gap count as informative where they reduced the sigma by a tenth
@@ -63,6 +73,8 @@ def monitor_range(cluster: Cluster, vehicle: int, other: int, result: UpdateResu
             record.cusum = max(record.cusum + _CUSUM_USED, 0.0)
             record.unresolved_outlier = None
         record.range_noise_inflation_m2 *= _INFLATION_KEPT
+        if result.nis <= 1.0:
+            _trust_more(record, other, result.sigma_m)
         return
     if result.degrees_of_freedom == 0:
         return
@@ -70,13 +82,34 @@ def monitor_range(cluster: Cluster, vehicle: int, other: int, result: UpdateResu
     record.refused_innovation_m2 = kept * record.refused_innovation_m2 + (1.0 - kept) * square
     record.cusum += _CUSUM_REFUSED
     refused = _outlier(other, result)
-    record.unresolved_outlier = None if _is_resolved(record, refused, m.measured_at_s, cluster.settings) else refused
+    if _is_resolved(record, refused, m.measured_at_s, cluster.settings):
+        record.unresolved_outlier = None
+        # Within the gate it is off by so much at most, however far the refused ones were.
+        _suspect(record, other, (cluster.settings.gate_sigma * result.sigma_m) ** 2)
+    else:
+        record.unresolved_outlier = refused
+        record.suspected.pop(other, None)
     if record.cusum > _CUSUM_LIMIT:
         # The first ranges after the inflation may be the wrong ones: their noise is inflated too, until some have agreed.
         cluster.inflate_covariance(vehicle, record.refused_innovation_m2)
         record.range_noise_inflation_m2 = record.refused_innovation_m2
         record.cusum = 0.0
         record.unresolved_outlier = None
+        record.suspected = {}
+
+
+def _suspect(record: VehicleRecord, other: int, variance_m2: float) -> None:
+    """Suspect a neighbour's device by one more refused range; its next one has `variance_m2` more."""
+    before = record.suspected.get(other)
+    record.suspected[other] = SuspectedDevice(1 if before is None else before.refused + 1, variance_m2)
+
+
+def _trust_more(record: VehicleRecord, other: int, sigma_m: float) -> None:
+    """Trust a neighbour's device more by a range that fits, with the sigma of its innovation."""
+    left_m2 = _SUSPICION_KEPT * record.suspicion_m2(other)
+    suspected = record.suspected.pop(other, None)
+    if suspected is not None and left_m2 > _TRUSTED_SHARE * sigma_m**2:
+        record.suspected[other] = suspected._replace(variance_m2=left_m2)
 
 
 def add_missed_turn(cluster: Cluster, vehicle: int, other: int, refused: UpdateResult, m: RangeMeasurement) -> bool:

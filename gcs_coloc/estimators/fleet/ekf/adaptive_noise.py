@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from operator import attrgetter
+from typing import NamedTuple
 
 from gcs_coloc.core.measurements import PositionMeasurement, RangeMeasurement
 
@@ -126,6 +127,22 @@ class NoiseSplit:
 
 NO_SAMPLES = NoiseSplit()
 """The split of a stream without samples."""
+
+
+class PairNoise(NamedTuple):
+    """Noise of the ranges of a pair.
+
+    That of `every` one shows a device that scatters more than it states, that of those `used` how white these are: what the gate
+    refuses stands out of the track, and the next three beside it, which would count as proof of white noise.
+    """
+
+    every: NoiseSplit = NO_SAMPLES
+    used: NoiseSplit = NO_SAMPLES
+
+    def updated(self, at_s: float, range_m: float, sigma_m: float) -> PairNoise:
+        """Return the noise after one more range, as one that is used."""
+        every = self.every.updated(at_s, ((range_m,),), (sigma_m,))
+        return PairNoise(every, every if self.used is self.every else self.used.updated(at_s, ((range_m,),), (sigma_m,)))
 
 
 @dataclass(slots=True)

@@ -33,6 +33,7 @@ IN_USE_S = 2.0
 _IN_USE_INTERVALS = 3.0  # chosen: where ranges come more seldom, as many may be lost
 _IN_USE_MOST_S = 6.0  # chosen: over a longer time a range tells too little of where the vehicle is now
 _INTERVAL_SHARE = 0.2  # chosen: of the latest interval in their mean; one gap alone makes ranges no rarer
+_SUSPECTED_FROM = 2  # refused ranges in a row; chosen: a single one is multipath, and tells nothing of the next
 _RECENT_S = 3.0
 _RECENT_MOST = 64
 """Chosen: own measurements from which an initialisation replays, enough for velocity; bounded in memory."""
@@ -58,6 +59,17 @@ class UnresolvedOutlier(NamedTuple):
     unit: tuple[float, float, float]
     innovation_m: float
     nis: float
+
+
+class SuspectedDevice(NamedTuple):
+    """A neighbour whose last ranges were refused and resolved.
+
+    Others in use would have shown it if they were right. `refused` counts them in a row; `variance_m2` is the square of the gate
+    at the last one, less with each range that fits again.
+    """
+
+    refused: int
+    variance_m2: float
 
 
 class ReflectionEvidence(NamedTuple):
@@ -175,6 +187,8 @@ class VehicleRecord:
     """Mean squared innovation of the refused ranges, m^2."""
     range_noise_inflation_m2: float = 0.0
     """Variance added to ranges since the covariance was inflated, m^2."""
+    suspected: dict[int, SuspectedDevice] = field(default_factory=dict)
+    """The neighbours whose ranges are suspected, by vehicle."""
     reports_refused: int = 0
     """Position reports refused by the gate in a row."""
     search: PositionSearch | None = None
@@ -210,12 +224,19 @@ class VehicleRecord:
         other.manoeuvre_noise = self.manoeuvre_noise.copy()
         other.neighbours = dict(self.neighbours)
         other.last_range_s = dict(self.last_range_s)
+        other.suspected = dict(self.suspected)
         return other
 
     def forget_tests(self) -> None:
         """Forget what tests of ranges have shown of the states so far: others begin."""
         self.cusum = self.range_noise_inflation_m2 = 0.0
         self.unresolved_outlier = self.reflection_evidence = self.bias_window = None
+        self.suspected = {}
+
+    def suspicion_m2(self, neighbour: int) -> float:
+        """Return the variance to add to a range of a neighbour that is suspected, else 0, m^2."""
+        suspected = self.suspected.get(neighbour)
+        return suspected.variance_m2 if suspected is not None and suspected.refused >= _SUSPECTED_FROM else 0.0
 
     def in_use_s(self, neighbour: int) -> float:
         """Return how long after its last range a neighbour is in use."""

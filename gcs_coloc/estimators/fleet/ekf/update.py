@@ -262,6 +262,8 @@ def update_range(
         return UpdateResult(Outcome.REFUSED_RANGE_GATE, innovation, sigma, nis, 1, unit)
     if nis > s.huber_sigma**2:
         variance *= math.sqrt(nis) / s.huber_sigma
+    # A device that was wrong until now may be so within the gate too.
+    variance += max(records[m.from_vehicle].suspicion_m2(m.to_vehicle), records[m.to_vehicle].suspicion_m2(m.from_vehicle))
     W = joint.correct_scalar(hA, variance)
     joint.add_sensitivity(unknown, W, math.sqrt(variance))
     if considered_m:
