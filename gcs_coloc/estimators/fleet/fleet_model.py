@@ -29,6 +29,7 @@ from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome, UpdateResult
 from gcs_coloc.estimators.fleet.ekf.possible_motion import motion_profile
 from gcs_coloc.estimators.fleet.ekf.records import Records, VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import Key, pair_key
+from gcs_coloc.estimators.fleet.ekf.tilt import Tilt
 from gcs_coloc.estimators.fleet.ekf.update import (
     change_time_stamp_offset_sigma,
     time_stamp_offset_sigma_s,
@@ -155,7 +156,11 @@ class FleetModel:
             return self._update_range(m, open_sides)
         record = self.records.writable(m.vehicle)
         if isinstance(m, VehicleClassReport):
-            record.profile = motion_profile(m.vehicle_class, self.settings)
+            profile = motion_profile(m.vehicle_class, self.settings)
+            if profile.tilts and not record.profile.tilts and record.attitude is not None:
+                # On its wings no tilt accelerated it: none of what begins now is steady yet.
+                record.tilt = Tilt(m.measured_at_s, 0.0, 0.0, 0.0, 0.0)
+            record.profile = profile
             return UpdateResult(Outcome.CLASS_REPORTED)
         if isinstance(m, PositionMeasurement):
             return self._update_position(m, record)

@@ -1,6 +1,7 @@
 """A multirotor is accelerated by its tilt, but for what drag, wind and a wrong trim make of it."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,8 @@ from gcs_coloc.core.measurements import (
 )
 from gcs_coloc.estimators.fleet.ekf.tilt import GRAVITY_MPS2, Tilt, missed_motion, tilt_after, tilted_velocity_mps
 from gcs_coloc.estimators.fleet.filter import FleetFilter
+from gcs_coloc.estimators.fleet.fleet_model import FleetModel
+from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 DENIED, LOST_S, END_S, STEP_S = 9, 10.0, 50.0, 0.05
 PEERS_M = {1: (-300.0, 500.0), 2: (900.0, 600.0), 3: (400.0, -500.0), 4: (1100.0, -300.0)}
@@ -146,3 +149,21 @@ def test_the_change_of_a_velocity_by_tilt_is_what_the_tilt_accelerates_meanwhile
     lasting_s = 2.0 * (1.0 - math.exp(-0.5))
     assert north_mps == pytest.approx(-lasting_s * GRAVITY_MPS2 * math.tan(math.radians(30.0)), rel=0.05)
     assert tilted_velocity_mps(braking, 0.0, 2.0) == (0.0, 0.0)
+
+
+def test_a_vtol_that_brakes_on_its_way_back_to_its_rotors_is_braked_by_its_first_tilt():
+    """The mean of its tilt on wings is none: it began at 25 degrees, and the brake at 4.6 m/s² was not seen."""
+    model = FleetModel(FleetSettings())
+    model.apply(VehicleClassReport(DENIED, 0.0, 0.0, VehicleClass.PLANE))
+    for k in range(11):
+        t = 0.5 * k
+        model.apply(PositionMeasurement(DENIED, t, t, (0.0, 20.0 * t, 50.0), 1.0, 1.0, (0.0, 20.0, 0.0), 0.3))
+        model.apply(replace(attitude(t, 0.0, 0.0), airspeed_mps=20.0))
+    model.set_denied(frozenset({DENIED}), 5.0)
+    model.apply(replace(attitude(5.1, 0.0, 0.0), airspeed_mps=20.0))
+    model.apply(VehicleClassReport(DENIED, 5.2, 5.2, VehicleClass.MULTIROTOR))
+    model.apply(attitude(5.6, 0.0, 25.0))
+    tilt = model.records[DENIED].tilt
+    assert tilt is not None
+    east_mps2, north_mps2 = tilt.acceleration_mps2
+    assert (east_mps2, north_mps2) == pytest.approx((0.0, -4.1), abs=0.2)
