@@ -19,7 +19,7 @@ from gcs_coloc.core.gps_health.evidence import FaultReason, PositionFault
 from gcs_coloc.core.integrity.detection import Detection
 from gcs_coloc.core.integrity.epoch_tests.epoch import INTERVALS_S, MIN_SIGMA_M, PERIOD_S, Epoch, EpochHistory, Past
 from gcs_coloc.core.integrity.epoch_tests.fault_tests import RULED_OUT_MARGIN, WELL_PLACED_SIGMA_M, FaultTestResult, run_tests
-from gcs_coloc.core.integrity.epoch_tests.gross_faults import gross_faults, without_gross_faults
+from gcs_coloc.core.integrity.epoch_tests.gross_faults import gross_faults, without_ranges_of
 from gcs_coloc.core.integrity.epoch_tests.isolation import Isolation, IsolationPersistence, isolate
 from gcs_coloc.core.integrity.epoch_tests.noise_evidence import AccuracyEvidence, SmallerNoise, explain_inconsistency
 from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel
@@ -146,8 +146,9 @@ class RangeConsistency:
             return
         self._due_s = now_s + PERIOD_S - SAME_S
         whole, left = self.residuals.epoch(now_s, self.detected), self.noise.after(PERIOD_S)
-        self._identify_gross_faults(whole)
-        whole = without_gross_faults(whole)
+        off = gross_faults(whole)
+        self._identify_gross_faults(off, whole)
+        whole = without_ranges_of(whole, off)
         tests = self._test(whole, left)
         self.noise = self._find_noise(whole, tests.results.get(0.0), left, now_s, doubtful)
         self.unisolated.add(self.noise, now_s)
@@ -159,8 +160,8 @@ class RangeConsistency:
         used = (self.noise.expose(whole) if self.noise.unisolated else stated).without_priors(not_used)
         tests = self._test(used, self.noise, not_used) if used is not stated else tests
         self._update_decayed(tests, now_s, whole.reporting)
-        sparse = without_gross_faults(self.residuals.sparse_epoch(now_s, whole))
-        self.stated_epoch = self.noise.expose(sparse).without_priors(not_used)
+        sparse = self.residuals.sparse_epoch(now_s, whole)
+        self.stated_epoch = self.noise.expose(without_ranges_of(sparse, gross_faults(sparse))).without_priors(not_used)
         self.epoch = self.noise.apply(self.stated_epoch)
         self._epochs.append(stated)
         self._update_separation(now_s)
@@ -253,9 +254,9 @@ class RangeConsistency:
                     identified[vehicle] = size_m
         return identified, coarse
 
-    def _identify_gross_faults(self, whole: Epoch) -> None:
+    def _identify_gross_faults(self, found: Mapping[int, float], whole: Epoch) -> None:
         """Identify the vehicles that enough independent samples show to be grossly off."""
-        seen, found = self._grossly_off, gross_faults(whole)
+        seen = self._grossly_off
         if whole.began_s > seen.sampled_until_s:
             seen.sampled_until_s = whole.ended_s
             seen.isolated = Counter({vehicle: seen.isolated[vehicle] + 1 for vehicle in found})

@@ -9,6 +9,7 @@ The group with the majority of the reporting vehicles is assumed to be right, as
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from itertools import combinations
 from math import dist
@@ -39,10 +40,11 @@ def gross_faults(epoch: Epoch) -> dict[int, float]:
     return found
 
 
-def without_gross_faults(epoch: Epoch) -> Epoch:
-    """Return the epoch without the ranges of the vehicles of `gross_faults`."""
-    found = gross_faults(epoch).keys()
-    return replace(epoch, residuals=tuple(r for r in epoch.residuals if found.isdisjoint(r.pair))) if found else epoch
+def without_ranges_of(epoch: Epoch, vehicles: Collection[int]) -> Epoch:
+    """Return the epoch without the ranges of some vehicles; itself where there are none."""
+    if not vehicles:
+        return epoch
+    return replace(epoch, residuals=tuple(r for r in epoch.residuals if not any(v in vehicles for v in r.pair)))
 
 
 def _groups(epoch: Epoch) -> list[frozenset[int]]:

@@ -8,7 +8,7 @@ from math import dist
 import pytest
 
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual
-from gcs_coloc.core.integrity.epoch_tests.gross_faults import gross_faults, without_gross_faults
+from gcs_coloc.core.integrity.epoch_tests.gross_faults import gross_faults, without_ranges_of
 
 TRUE = {
     1: (0.0, 0.0, 100.0),
@@ -68,10 +68,11 @@ def test_a_range_that_is_far_too_long_names_nobody():
 
 
 def test_the_rest_of_the_epoch_has_no_range_of_it():
-    rest = without_gross_faults(epoch(MUTUAL, {1: AIRPORT}))
+    whole = epoch(MUTUAL, {1: AIRPORT})
+    rest = without_ranges_of(whole, gross_faults(whole))
     assert {residual.pair for residual in rest.residuals} == {pair for pair in MUTUAL if 1 not in pair}
 
 
 def test_an_epoch_without_gross_faults_is_the_same_object():
     sound = epoch(MUTUAL, {1: (500.0, 0.0, 100.0)})
-    assert without_gross_faults(sound) is sound
+    assert without_ranges_of(sound, gross_faults(sound)) is sound
