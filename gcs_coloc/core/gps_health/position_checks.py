@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from gcs_coloc.core.geodesy import LocalFrame, horizontal_distance_m
 from gcs_coloc.core.gps_health.evidence import GpsReason
-from gcs_coloc.core.measurements import PositionMeasurement
+from gcs_coloc.core.measurements import PositionMeasurement, Vector3
 from gcs_coloc.core.messages.inbound import FIX_3D, GlobalPosition, GpsReceiver
 from gcs_coloc.core.reasons import StatedReason
 
@@ -26,6 +26,7 @@ _WINDOW_S = 3.0  # chosen: long against the noise of positions, short against th
 _LONGEST_GAP_S = 1.0  # chosen: over a longer one a turning aircraft does not fly the mean of two velocities
 _SIGMAS = 5.0  # chosen: by chance never in a flight; stated accuracies are often too good
 _LEAST_MISS_M = 2.0  # chosen: what the rounding of times and velocities adds up to at airspeed
+_LEAST_MISS_UP_M = 8.0  # source: sound autopilots within 3 m, and up to 9 m while they are aided (79 recordings of real ones)
 _PERSISTS_S = 1.0  # chosen: five positions in a row; one late or early is none
 _HELD_S = 10.0  # chosen: three windows, as either side of a jump may be the wrong one
 _FROZEN_S = 3.0  # chosen: fifteen fixes in a row at 5 Hz; a receiver may repeat one or two
@@ -39,26 +40,28 @@ _OFF_PERSISTS_S = 3.0  # chosen: longer than a filter takes to follow its receiv
 
 
 class PathStep(NamedTuple):
-    """A reported position, and the path of the integrated velocities: east and north, m and m/s."""
+    """A reported position, and the path of the integrated velocities: east, north and up, m and m/s."""
 
     at_s: float
-    east_m: float
-    north_m: float
-    path_east_m: float
-    path_north_m: float
-    ve_mps: float
-    vn_mps: float
+    place_m: Vector3
+    path_m: Vector3
+    velocity_mps: Vector3
+
+    def missed_m(self, first: PathStep) -> Vector3:
+        """Return what the position has moved since an earlier step other than the path."""
+        de, dn, du = (now - then for now, then in zip(self.place_m, first.place_m, strict=True))
+        pe, pn, pu = (now - then for now, then in zip(self.path_m, first.path_m, strict=True))
+        return de - pe, dn - pn, du - pu
 
 
-def path_step(last: PathStep | None, at_s: float, place_m: tuple[float, float], velocity_mps: tuple[float, float]) -> PathStep:
+def path_step(last: PathStep | None, at_s: float, place_m: Vector3, velocity_mps: Vector3) -> PathStep:
     """Return the step to a reported position and velocity; its path goes on by the trapezoidal rule."""
-    ve_mps, vn_mps = velocity_mps
-    path_east_m = path_north_m = 0.0
-    if last is not None:
-        half_s = 0.5 * (at_s - last.at_s)
-        path_east_m = last.path_east_m + half_s * (last.ve_mps + ve_mps)
-        path_north_m = last.path_north_m + half_s * (last.vn_mps + vn_mps)
-    return PathStep(at_s, *place_m, path_east_m, path_north_m, ve_mps, vn_mps)
+    if last is None:
+        return PathStep(at_s, place_m, (0.0, 0.0, 0.0), velocity_mps)
+    half_s = 0.5 * (at_s - last.at_s)
+    (pe, pn, pu), (ve0, vn0, vu0), (ve, vn, vu) = last.path_m, last.velocity_mps, velocity_mps
+    path_m = pe + half_s * (ve0 + ve), pn + half_s * (vn0 + vn), pu + half_s * (vu0 + vu)
+    return PathStep(at_s, place_m, path_m, velocity_mps)
 
 
 @dataclass(slots=True)
@@ -96,20 +99,20 @@ class MotionCheck:
         while step.at_s - self._steps[0].at_s > _WINDOW_S:
             self._steps.popleft()
         first = self._steps[0]
-        miss_m = hypot(
-            step.east_m - first.east_m - (step.path_east_m - first.path_east_m),
-            step.north_m - first.north_m - (step.path_north_m - first.path_north_m),
-        )
-        span_s = step.at_s - first.at_s
+        east_m, north_m, up_m = step.missed_m(first)
         # A wrong velocity is wrong in the same way for seconds, hence its sigma grows with the span and not with its root.
-        sigma_m = sqrt(2.0 * reported.sigma_h_m**2 + (reported.sigma_velocity_mps * span_s) ** 2)
-        if miss_m <= _SIGMAS * sigma_m + _LEAST_MISS_M:
+        drift_m = reported.sigma_velocity_mps * (step.at_s - first.at_s)
+        most_m = _SIGMAS * sqrt(2.0 * reported.sigma_h_m**2 + drift_m**2) + _LEAST_MISS_M
+        most_up_m = _SIGMAS * sqrt(2.0 * reported.sigma_v_m**2 + drift_m**2) + _LEAST_MISS_UP_M
+        if all(each.velocity_mps[2] == 0.0 for each in self._steps):
+            up_m = 0.0  # it states no vertical velocity
+        if hypot(east_m, north_m) <= most_m and abs(up_m) <= most_up_m:
             self._missed_since_s = None
             return
         if self._missed_since_s is None:
             self._missed_since_s = step.at_s
         if step.at_s - self._missed_since_s >= _PERSISTS_S:
-            self._missed_at_s, self._miss_m = reported.arrived_at_s, miss_m
+            self._missed_at_s, self._miss_m = reported.arrived_at_s, hypot(east_m, north_m, up_m)
 
     def add_receiver(self, fix: GpsReceiver) -> None:
         """Add a report of the vehicle's real receiver."""
@@ -119,10 +122,11 @@ class MotionCheck:
             self._same_path_m = self._same_own_path_m = self._same_moved_m = 0.0
         elif now is not None and fix.received_at_s - now.at_s <= _LONGEST_GAP_S + _WINDOW_S:
             step_s = min(fix.received_at_s - self._heard_at_s, _LONGEST_GAP_S)
-            self._same_path_m += step_s * hypot(now.ve_mps, now.vn_mps)
+            self._same_path_m += step_s * hypot(*now.velocity_mps[:2])
             self._same_own_path_m += step_s * hypot(*(fix.velocity_ne_mps or (0.0, 0.0)))
             began = self._same_from = self._same_from or now
-            self._same_moved_m = max(self._same_moved_m, hypot(now.east_m - began.east_m, now.north_m - began.north_m))
+            east_m, north_m = now.place_m[0] - began.place_m[0], now.place_m[1] - began.place_m[1]
+            self._same_moved_m = max(self._same_moved_m, hypot(east_m, north_m))
         self._heard_at_s = fix.received_at_s
 
     def implausible(self, now_s: float) -> StatedReason[GpsReason] | None:
@@ -138,13 +142,13 @@ class MotionCheck:
             return None
         return StatedReason(GpsReason.FROZEN, moved_m)
 
-    def _next(self, reported: PositionMeasurement, velocity: tuple[float, float, float]) -> PathStep:
+    def _next(self, reported: PositionMeasurement, velocity_mps: Vector3) -> PathStep:
         at_s = reported.measured_at_s
         if not self._steps or at_s - self._steps[-1].at_s > _LONGEST_GAP_S:
             self._steps.clear()
             self._missed_since_s = None
         last = self._steps[-1] if self._steps else None
-        step = path_step(last, at_s, reported.position_enu_m[:2], velocity[:2])
+        step = path_step(last, at_s, reported.position_enu_m, velocity_mps)
         self._steps.append(step)
         return step
 
@@ -220,10 +224,9 @@ class DopplerCheck:
         if self._frame is None:
             self._frame = LocalFrame(fix.lat_deg, fix.lon_deg, fix.alt_msl_m)
         vn, ve = velocity_ne_mps
-        ve_mps, vn_mps, _ = self._frame.enu_from_ned_velocity(fix.lat_deg, fix.lon_deg, (vn, ve, 0.0))
-        east_m, north_m, _ = self._frame.enu_from_geodetic(fix.lat_deg, fix.lon_deg, fix.alt_msl_m)
-        last = self._steps[-1] if self._steps else None
-        self._steps.append(path_step(last, at_s, (east_m, north_m), (ve_mps, vn_mps)))
+        velocity_mps = self._frame.enu_from_ned_velocity(fix.lat_deg, fix.lon_deg, (vn, ve, 0.0))
+        place_m = self._frame.enu_from_geodetic(fix.lat_deg, fix.lon_deg, fix.alt_msl_m)
+        self._steps.append(path_step(self._steps[-1] if self._steps else None, at_s, place_m, velocity_mps))
         while at_s - self._steps[0].at_s > _DRIFT_WINDOW_S:
             self._steps.popleft()
 
@@ -233,10 +236,9 @@ class DopplerCheck:
             return
         mean_s = sum(step.at_s for step in steps) / len(steps)
         spread_s2 = sum((step.at_s - mean_s) ** 2 for step in steps)
-        drift_mps = hypot(
-            sum((step.at_s - mean_s) * (step.east_m - step.path_east_m) for step in steps) / spread_s2,
-            sum((step.at_s - mean_s) * (step.north_m - step.path_north_m) for step in steps) / spread_s2,
-        )
+        missed = [(step.at_s - mean_s, *step.missed_m(steps[0])) for step in steps]
+        east_ms, north_ms = sum(s * e for s, e, _, _ in missed), sum(s * n for s, _, n, _ in missed)
+        drift_mps = hypot(east_ms / spread_s2, north_ms / spread_s2)
         sigma_m = fix.h_acc_m if fix.h_acc_m is not None else _UNSTATED_SIGMA_M
         sigma_mps = fix.speed_acc_mps if fix.speed_acc_mps is not None else _UNSTATED_SIGMA_MPS
         if drift_mps <= _DRIFT_SIGMAS * hypot(sigma_m / sqrt(spread_s2), sigma_mps):

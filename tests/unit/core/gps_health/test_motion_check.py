@@ -12,6 +12,10 @@ def reported(t: float, east_m: float, north_m: float, ve: float, vn: float, h_ac
     return PositionMeasurement(1, t, t + 0.1, (east_m, north_m, 50.0), h_acc_m, 2.0, (ve, vn, 0.0), 0.3)
 
 
+def climbing(t: float, up_m: float, vu: float) -> PositionMeasurement:
+    return PositionMeasurement(1, t, t + 0.1, (20.0 * t, 0.0, up_m), 1.0, 2.0, (20.0, 0.0, vu), 0.3)
+
+
 def fix(t: float, lat_deg: float, fix_type: int = 3, velocity_ne_mps: tuple[float, float] | None = None) -> GpsReceiver:
     return GpsReceiver(1, t, 0, fix_type, lat_deg, 8.0, 500.0, 10, 1.0, 1.0, 2.0, 0.3, velocity_ne_mps=velocity_ne_mps)
 
@@ -64,6 +68,36 @@ def test_a_jump_counts_beyond_five_sigmas_of_two_positions(jump_m, is_told):
         t = i / 10
         check.add_position(reported(t, 20.0 * t + (jump_m if t >= 10.0 else 0.0), 0.0, 20.0, 0.0, h_acc_m=15.0), own=True)
     assert (check.implausible(12.0) is not None) is is_told
+
+
+def test_an_altitude_that_jumps_is_told_within_two_seconds_and_held_for_ten():
+    check = MotionCheck()
+    for i in range(400):
+        t = i / 10
+        check.add_position(climbing(t, 0.1 * t + (60.0 if t >= 10.0 else 0.0), 0.1), own=True)
+        if t < 10.0:
+            assert check.implausible(t) is None
+        elif 12.0 <= t <= 20.0:
+            assert "moved 60 m other than its velocity" in check.implausible(t).text
+    assert check.implausible(39.9) is None
+
+
+@pytest.mark.parametrize("share", [0.93, 1.0, 1.07])
+def test_an_altitude_may_follow_the_climb_as_a_barometer_on_a_hot_day_does(share):
+    check = MotionCheck()
+    for i in range(600):
+        t = i / 10
+        up_m, vu = 100.0 * np.sin(0.1 * t), 10.0 * np.cos(0.1 * t)
+        check.add_position(climbing(t, share * up_m, vu), own=True)
+        assert check.implausible(t + 0.1) is None
+
+
+def test_an_altitude_of_a_sender_that_states_no_vertical_velocity_is_not_held_against_it():
+    check = MotionCheck()
+    for i in range(300):
+        t = i / 10
+        check.add_position(climbing(t, 15.0 * t, 0.0), own=True)
+        assert check.implausible(t + 0.1) is None
 
 
 def test_a_position_that_stands_while_the_velocity_does_not_is_told():

@@ -1,4 +1,4 @@
-"""Receivers that state an airport, 100 km and more away, through the engine: named in seconds, and nobody loses the fix."""
+"""Receivers that state an airport or another altitude, through the engine: told in seconds, and nobody else loses the fix."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ class Flown:
         return self.fixes / self.deadlines
 
 
-def elsewhere(message: FromVehicle, east_m: float, north_m: float) -> FromVehicle:
-    """The same message from a place along the earth's surface, at the same altitude."""
+def elsewhere(message: FromVehicle, east_m: float, north_m: float, up_m: float) -> FromVehicle:
+    """The same message from a place along the earth's surface and above."""
     if not isinstance(message, GlobalPosition | GpsReceiver):
         return message
     lon_radius_m = EARTH_RADIUS_M * cos(radians(message.lat_deg))
@@ -43,17 +43,28 @@ def elsewhere(message: FromVehicle, east_m: float, north_m: float) -> FromVehicl
         message,
         lat_deg=message.lat_deg + degrees(north_m / EARTH_RADIUS_M),
         lon_deg=message.lon_deg + degrees(east_m / lon_radius_m),
+        alt_msl_m=message.alt_msl_m + up_m,
     )
 
 
-def fly(*, spoofed: int, off_m: float, from_s: float, mutual: bool, until_s: float, lost: bool = True, first: int = 0) -> Flown:
+def fly(
+    *,
+    spoofed: int,
+    off_m: float = 0.0,
+    up_m: float = 0.0,
+    from_s: float,
+    mutual: bool,
+    until_s: float,
+    lost: bool = True,
+    first: int = 0,
+) -> Flown:
     engine, flight = fresh_engine(), Flight(Scenario(mutual=mutual, lost=lost), seed=0)
     east_m, north_m, _ = (off_m * flight.away).tolist()
     flown = Flown(engine)
     for step in range(round(until_s / STEP_S)):
         t = step * STEP_S
         for message in sorted(flight.messages(t), key=lambda message: message.sysid != first):
-            engine.receive(elsewhere(message, east_m, north_m) if message.sysid == spoofed and t >= from_s else message)
+            engine.receive(elsewhere(message, east_m, north_m, up_m) if message.sysid == spoofed and t >= from_s else message)
         engine.poll(t)
         for sysid in engine.sysids():
             state = engine.gps_state(sysid)
@@ -87,6 +98,14 @@ def test_a_peer_that_is_there_from_the_start_is_named(mutual):
     assert flown.disturbed == {SPOOFED, DENIED}
     assert flown.fix_share == 1.0
     assert flown.largest_share_of_bound < 1.5
+
+
+@pytest.mark.parametrize("mutual", [True, False])
+def test_a_peer_whose_altitude_jumps_is_no_anchor_and_the_others_stay_so(mutual):
+    flown = fly(spoofed=SPOOFED, up_m=300.0, from_s=JUMPS_AT_S, mutual=mutual, until_s=JUMPS_AT_S + 20.0)
+    assert flown.fix_share > 0.98
+    assert flown.largest_share_of_bound < 1.5
+    assert flown.disturbed == {SPOOFED, DENIED}
 
 
 def test_a_vehicle_whose_own_receiver_jumps_there_is_located_and_failed():
