@@ -77,6 +77,8 @@ _GAP_TIMES = 3.0  # the silence; source: of 130 gaps beyond 3 s in 3.7 h of reco
 _HEARD_STEP_S = 1.0  # of a gap between two messages; source: usual rates of SYS_STATUS and EKF_STATUS_REPORT are 1 Hz and more
 _EKF_LINGERS_S = 12.0  # EKF3 holds the worst speed accuracy with a decay of 10 s, and wants 10 s of good innovations
 
+_NOTHING_AGAINST_IT = (GpsReason.CONTRADICTED_BY_RANGES, GpsReason.SILENT)
+
 _NOTHING_HEARD = StatedReason(GpsReason.NOTHING_HEARD)
 
 
@@ -118,9 +120,9 @@ class GpsHealth:
 
     @property
     def may_witness(self) -> bool:
-        """Whether nothing speaks against it but, at most, ranges that leave open who is at fault."""
-        by_ranges_alone = self.state is GpsState.SUSPECT and self.reason.reason is GpsReason.CONTRADICTED_BY_RANGES
-        return (self.state is GpsState.HEALTHY or by_ranges_alone) and not self._has_own_trouble
+        """Whether nothing speaks against it but ranges that leave open who is at fault, or a past silence."""
+        is_open = self.state is GpsState.SUSPECT and self.reason.reason in _NOTHING_AGAINST_IT
+        return (self.state is GpsState.HEALTHY or is_open) and not self._has_own_trouble
 
     def is_doubtful(self, now_s: float) -> bool:
         """Return whether the receiver's fixes have moved otherwise than its own velocity says.

@@ -321,6 +321,21 @@ def test_a_receiver_frozen_on_the_move_fails_and_a_jump_is_suspect():
     assert "other than its velocity" in jumped.reason
 
 
+def test_a_silence_that_is_over_has_shown_nothing_against_a_receiver_that_was_in_question():
+    """While it was silent, its ranges alone went on: to hold them against it makes one faulty device a faulty receiver."""
+    machine = healthy_until(5.0)
+    machine.know(contradiction=PositionFault(FaultReason.NOT_ISOLATED))
+    run(machine, 5.2, 6.0)
+    for step in range(30):
+        machine.update(6.0 + step / 5)
+    machine.know(contradiction=None)
+    assert machine.health.reason.reason is GpsReason.SILENT
+    assert not machine.health.may_witness
+    run(machine, 12.0, 12.2)
+    assert machine.state is GpsState.SUSPECT
+    assert machine.health.may_witness
+
+
 def test_an_identified_contradiction_fails_at_once_and_an_unclear_one_is_suspect():
     identified, among = healthy_until(5.0), healthy_until(5.0)
     identified.know(contradiction=PositionFault(FaultReason.CONTRADICTS_RANGES))
