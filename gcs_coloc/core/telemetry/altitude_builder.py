@@ -32,6 +32,9 @@ _SCALE_M = 44_330.77  # Source: the same: 288.15 K at sea level over a lapse of 
 _EXPONENT = 0.190263  # Source: the same: lapse times gas constant of air over gravity
 _LEARNS_IN_S = 10.0  # chosen: long against a barometer's noise, short against a change of the weather
 _LEAST_LEARNT_S = 5.0  # chosen: half of the noise is gone
+_LEAST_JUMP_M = 15.0
+"""From so far off on a height contradicts its barometer. Chosen: on a day 20 K off the standard a climb at 10 m/s takes the
+offset 7 m off its mean."""
 _FRESH_S = 2.0  # chosen: two messages at the rate that autopilots send by default
 _OTHER_SENSOR_SIGMA_M = 8.0  # chosen: barometers of one kind differ by up to 1 hPa
 _SCALE_SIGMA = 0.05
@@ -76,12 +79,17 @@ class Barometer:
         self.altitude_m, self.at_s = pressure_altitude_m(pressure_hpa), at_s
 
     def learn(self, alt_msl_m: float, at_s: float, fleet: Iterable[Barometer]) -> None:
-        """Learn the offset from the height of its vehicle, whose GPS is trusted."""
+        """Learn the offset from the height of its vehicle, whose GPS is trusted.
+
+        A height that jumps tells nothing of the barometer; one that stays where it jumped to is learnt anew.
+        """
         if at_s - self.at_s > _FRESH_S:
             return
         offset_m, since_s = alt_msl_m - self.altitude_m, at_s - self.offset_at_s
         if self.offset_m is None or since_s > 6.0 * _LEARNS_IN_S:
             self.offset_m, self.learnt_altitude_m, self.learnt_s = offset_m, self.altitude_m, 0.0
+        elif self.learnt_s >= _LEAST_LEARNT_S and abs(offset_m - self.offset_m) > _LEAST_JUMP_M:
+            return
         else:
             fresh = 1.0 - exp(-since_s / _LEARNS_IN_S)
             self.offset_m += fresh * (offset_m - self.offset_m)

@@ -87,6 +87,20 @@ def test_the_height_of_an_aided_vehicle_is_its_barometers_and_not_what_its_autop
     assert height.sigma_m == pytest.approx(2.0, abs=0.1)
 
 
+@pytest.mark.parametrize(("wrong_for_s", "off_m"), [(5, 0.0), (80, 60.0)])
+def test_a_height_that_jumps_after_a_pause_is_learnt_only_once_it_has_stayed(wrong_for_s, off_m):
+    """An autopilot whose height is GPS's followed a spoofer: five seconds of trust put the barometer 50 m off."""
+    feed = with_barometer(own_gps_until_s=17.0)
+    for half_s in range(2 * wrong_for_s):
+        t = 30.0 + half_s / 2
+        feed.pressure(Pressure(4, t, t, 950.0), is_trusted=True)
+        feed.measure(position(t, 600.0), vehicle())
+    t = 30.0 + wrong_for_s
+    height = feed.pressure(Pressure(4, t, t, 950.0), is_trusted=False, located_enu_m=(0.0, 0.0))
+    assert height is not None
+    assert height.up_m == pytest.approx(40.0 + off_m, abs=0.2)
+
+
 def test_a_vehicle_that_never_had_gps_and_reports_no_position_has_a_height():
     """PX4 sends no GLOBAL_POSITION_INT before its first fix."""
     pressure = Pressure(4, 30.0, 30.0, 950.0)
