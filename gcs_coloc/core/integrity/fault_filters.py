@@ -51,9 +51,9 @@ _RATE_DENSITY_M2PS3 = 0.1
 """Power spectral density of the change of that rate, m²/s³. Chosen: it changes by 1 m/s within ten seconds."""
 _DISPLACEMENT_DENSITY_M2PS = 4.0
 """That of the vehicle's displacement by a fault, m²/s. Chosen: 2 m in a second, as fast as ranges carry an estimate off."""
-_RESET_AFTER_STEPS = 3
-"""After so many steps in a row in which a filter explains less than half of the peers' residuals its displacement is unknown
-again. Chosen: one or two are outliers."""
+_RESET_AFTER = 3
+"""A filter that does not explain so many residuals in a row of more than half of the peers takes its displacement for unknown
+again. Chosen: one or two are outliers. A step may have the residuals of a few peers only."""
 _HUBER_SIGMA = 1.5  # from so many sigmas on an innovation has bounded influence. Source: Huber's usual constant, 1.345 to 1.5
 _GATE_SIGMA = 3.0  # from so many sigmas on it has none; chosen: one in 370 Gaussian ones
 _NOISE_TIME_S = 15.0  # averaging time of the inflation of the measurement noise, s; chosen: half of `_CORRELATION_TIME_S`
@@ -112,7 +112,7 @@ class FaultFilters:
         self._A: FloatArray = np.zeros((models, 1 + size, size))
         self._covariances[:, [0, 1], [0, 1]] = _UNKNOWN_M2
         self._log_probability = [0.0] + [_LOG_ZERO] * (models - 1)
-        self._outlier_steps = [0] * models
+        self._unexplained = np.zeros((models, peers), dtype=int)  # residuals in a row that a filter did not explain
 
     @property
     def _means(self) -> FloatArray:
@@ -136,7 +136,7 @@ class FaultFilters:
         self._mix(step_s)
         H, z = self._design(residuals), [residual.residual_m for residual in residuals.values()]
         r = [residual.noise_m**2 * max(self._known[peer].noise, 1.0) for peer, residual in residuals.items()]
-        self._reset_diverged(H, z, r)
+        self._reset_diverged([self.peers.index(peer) for peer in residuals], H, z, r)
         gain = 1.0 - exp(-step_s / _NOISE_TIME_S)
         for k, peer in enumerate(residuals):
             self._known[peer].noise *= 1.0 - gain + gain * self._correct(H[:, k], z[k], r[k])
@@ -254,17 +254,21 @@ class FaultFilters:
         H[-1, :, _SIZE] = 1.0
         return H
 
-    def _reset_diverged(self, H: FloatArray, z: list[float], r: list[float]) -> None:
-        """Reset the displacement of filters that explain less than half of the residuals for several steps."""
+    def _reset_diverged(self, peers: list[int], H: FloatArray, z: list[float], r: list[float]) -> None:
+        """Reset the displacement of filters that explain too little.
+
+        They do not explain several residuals in a row of more than half of the peers. `peers` are by index.
+        """
         columns = H.transpose(0, 2, 1)
         predicted = self._A @ columns
         variance = (columns * predicted[:, 1:]).sum(axis=1) + r
-        beyond = ((z - predicted[:, 0]) ** 2 > _GATE_SIGMA**2 * variance).sum(axis=1).tolist()
-        self._outlier_steps = [steps + 1 if 2 * n > len(z) else 0 for steps, n in zip(self._outlier_steps, beyond, strict=True)]
-        for m, steps in enumerate(self._outlier_steps):
-            if steps >= _RESET_AFTER_STEPS:
-                self._covariances[m, :2] = self._covariances[m, :, :2] = 0.0
-                self._covariances[m, [0, 1], [0, 1]] = _UNKNOWN_M2
+        beyond = (z - predicted[:, 0]) ** 2 > _GATE_SIGMA**2 * variance
+        self._unexplained[:, peers] = np.where(beyond, self._unexplained[:, peers] + 1, 0)
+        diverged = 2 * (self._unexplained >= _RESET_AFTER).sum(axis=1) > len(self.peers)
+        for m in np.flatnonzero(diverged).tolist():
+            self._unexplained[m] = 0
+            self._covariances[m, :2] = self._covariances[m, :, :2] = 0.0
+            self._covariances[m, [0, 1], [0, 1]] = _UNKNOWN_M2
 
     def _correct(self, h: FloatArray, z: float, r: float) -> float:
         """Correct all filters with one residual, and update their probabilities.

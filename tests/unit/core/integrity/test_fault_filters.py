@@ -154,6 +154,17 @@ def test_a_jump_of_the_estimate_resets_the_displacement_and_raises_no_alarm():
     assert sum(probabilities(filters).values()) < 0.3
 
 
+def test_a_first_outlier_is_forgotten_after_three_ranges_where_each_step_has_those_of_one_peer():
+    filters, units = FaultFilters(), {1: (0.0, 1.0), 2: (0.8, -0.6), 3: (-0.8, -0.6)}
+    for step in range(18):
+        peer = 1 + step % 3
+        residual_m = 15.0 if step == 1 else 0.0
+        filters.update({peer: LineOfSightResidual(residual_m, NOISE_M, REPORTED_SIGMA_M, units[peer])}, step / 3.0)
+    for hypothesis in filters.hypotheses(filters.at_s):
+        ee, _, nn = hypothesis.separation_m2
+        assert np.sqrt(ee + nn) < 3.0
+
+
 def test_faults_that_begin_and_end_at_once_keep_probabilities_within_bounds(monkeypatch):
     monkeypatch.setattr(fault_filters, "_ONSET_RATE_PER_S", 1.0)
     monkeypatch.setattr(fault_filters, "_END_RATE_PER_S", 1.0)
