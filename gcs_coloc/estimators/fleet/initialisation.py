@@ -67,7 +67,7 @@ def initialise_from_reports(clusters: ClusterSet, vehicle: int, at_s: float) -> 
     record.time_stamp_offset_sigma_s = time_stamp_offset_sigma_s(first, s)
     (record.report_error_sigma_h_m, record.report_error_sigma_v_m), record.baro_error_sigma_m = coloured, 0.0
     record.attitude, record.tilt, record.began_on_either_side = _attitude_before(record, first.measured_at_s), None, False
-    record.updated_at_s = record.velocity_used_at_s = first.measured_at_s
+    record.updated_at_s = record.report_used_at_s = record.velocity_used_at_s = first.measured_at_s
     # Speeds all over the disc of those that the vehicle reaches.
     speed_sigmas_mps = 0.5 * record.profile.max_speed_mps, record.profile.max_climb_mps
     mean, covariance = block_from_report(first, white, coloured, record.time_stamp_offset_sigma_s, speed_sigmas_mps, s)

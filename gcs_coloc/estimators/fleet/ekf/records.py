@@ -167,6 +167,8 @@ class VehicleRecord:
     """Until then GPS, the ranges of several neighbours or its own motion sensors told of its motion along all directions."""
     unshown: UnshownMotion | None = None
     """What it may have done in its last gap beyond what it has shown before."""
+    report_used_at_s: float = -math.inf
+    """Time of the last position report that was used."""
     velocity_used_at_s: float = -math.inf
     """Time of the last position report whose velocity was used."""
     began_on_either_side: bool = False

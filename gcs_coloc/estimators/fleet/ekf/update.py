@@ -64,11 +64,12 @@ def update_position_report(
 ) -> UpdateResult:
     """Correct with a position report, and its velocity where given, eq. (11).
 
-    A report outside the gate is tried again with the noise that it states, then with a hard manoeuvre since the last one. The
+    A report outside the gate is tried again with the noise that it states, then with a hard manoeuvre since the last one that was
+    used: ranges since then tell little of it. Air data that told of no such manoeuvre are in another wind than was learned. The
     NIS is that of the first try, so that models can be compared by it.
     """
     record, joint, at_s = cluster.records[m.vehicle], cluster.joint, m.measured_at_s
-    since_s = at_s - record.updated_at_s
+    since_s = at_s - record.report_used_at_s
     cluster.propagate(m.vehicle, at_s)
     record.report_error_sigma_h_m = cluster.change_sigma(m.vehicle, _REPORT_ERROR_H, record.report_error_sigma_h_m, coloured[0])
     record.report_error_sigma_v_m = cluster.change_sigma(m.vehicle, _REPORT_ERROR_V, record.report_error_sigma_v_m, coloured[1])
@@ -77,7 +78,7 @@ def update_position_report(
     k = len(H)
     if k > len(m.position_enu_m):
         record.velocity_used_at_s = at_s
-    whitened = whiten(HA, linear.innovation_covariance(R))
+    whitened, told_otherwise = whiten(HA, linear.innovation_covariance(R)), False
     nis = whitened.nis
     # The gate widens as the standard deviation of the chi-square distribution does.
     limit = cluster.settings.gate_sigma**2 + 2.0 * k
@@ -91,9 +92,12 @@ def update_position_report(
         if whitened.nis > limit:
             return UpdateResult(Outcome.REFUSED_POSITION_GATE, 0.0, 0.0, nis, k)
         joint.covariance(m.vehicle)[:6, :6] += manoeuvre
+        told_otherwise = record.attitude is not None and at_s - record.attitude.measured_at_s <= ATTITUDE_HELD_S
     joint.correct(whitened.W)
     cluster.add_corrections(m.vehicle, whitened.W, whitened.innovations(), at_s, of_position=True)
-    record.updated_at_s = at_s
+    if told_otherwise:
+        cluster.forget_air_errors(m.vehicle)
+    record.updated_at_s = record.report_used_at_s = at_s
     return UpdateResult(Outcome.USED, 0.0, 0.0, nis, k)
 
 
