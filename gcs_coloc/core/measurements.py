@@ -156,8 +156,8 @@ class ProtectionLevel(NamedTuple):
 
     Horizontally (HPL) and vertically (VPL), m.
 
-    The ranges cannot test the receivers of the vehicles `untested`: no fault of theirs may move the estimate by more than some
-    20 m.
+    The ranges cannot test the receivers of the vehicles `untested`, nor, where its own id is among them, the vehicle's ranging
+    device: no fault of theirs may move the estimate by more than some 20 m.
     """
 
     horizontal_m: float

@@ -62,8 +62,8 @@ class VehicleSnapshot:
     `name` is what the configuration calls it.
     `lat_deg`, `lon_deg`, `alt_msl_m` are the service's estimate, `reported_*` is what the vehicle says of itself.
     `sigma_h_m` is 1-sigma along the worst horizontal direction, `sigma_v_m` that of the height, `bound_95_m` the 95 % horizontal
-    bound. `hpl_m` and `vpl_m` are the horizontal and vertical protection level; they assume that no receiver of the vehicles
-    `untested`, which the ranges cannot test, moves the position by more than some 20 m.
+    bound. `hpl_m` and `vpl_m` are the horizontal and vertical protection level; they assume that nothing of what is
+    `untested` (see `ProtectionLevel`) moves the position by more than some 20 m.
     `no_estimate_reason` says why there is no estimate, `no_estimate_code` the same as the code of a `NoEstimateReason`.
     `enu_m` and `velocity_enu_mps` are the estimate in the fleet's frame, `covariance_h_m2` its horizontal covariance (east-east,
     east-north, north-north). `yaw_rad` is the vehicle's own, from true north, clockwise.

@@ -35,7 +35,7 @@ _GAUGES: tuple[tuple[str, str, Callable[[VehicleSnapshot], float | None]], ...] 
     ("position_bound_95_meters", "95 % bound of the horizontal position error.", lambda v: v.bound_95_m),
     ("protection_level_meters", "Horizontal protection level (HPL).", lambda v: v.hpl_m),
     ("height_protection_level_meters", "Vertical protection level (VPL).", lambda v: v.vpl_m),
-    ("untested_receivers", "Peers whose receiver its ranges cannot test.", lambda v: float(len(v.untested))),
+    ("untested_receivers", "Peers whose receiver its ranges cannot test.", lambda v: float(len({*v.untested} - {v.sysid}))),
     ("hdop", "Horizontal dilution of precision of the ranges in use.", lambda v: v.hdop),
     ("ranges_in_use", "Neighbours whose ranges were used lately.", lambda v: float(v.ranges_in_use)),
     (

@@ -55,8 +55,9 @@ def test_two_stations_are_named_on_the_map_and_in_what_the_protection_level_assu
         failed.add(4)
         card(page, 4).click()
         level = page.locator("#facts dt", has_text="protection level").locator("+ dd")
-        assumed = "; assumes that station 3 and station 5 are where they say: no range tests them"
-        expect(level).to_have_text(re.compile(rf"^\d+\.\d m, height \d+\.\d m{assumed}$"))
+        device = "; assumes that its ranging device is right: no range tests it"
+        stations = "; assumes that station 3 and station 5 are where they say: no range tests them"
+        expect(level).to_have_text(re.compile(rf"^\d+\.\d m, height \d+\.\d m{device}{stations}$"))
         expect(page.locator("path.range")).to_have_count(2)
         landed.set()
         assert watched.complaints == []

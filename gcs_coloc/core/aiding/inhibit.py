@@ -44,7 +44,7 @@ class InhibitReason(WordedReason):
     NO_ESTIMATE = "no_estimate", "{detail}"
     BEYOND_ALERT_LIMIT = ("beyond_alert_limit", "protection level {value:.1f} m is beyond the alert limit of {limit:g} m")
     NO_PROTECTION_LEVEL = "no_protection_level", "its position has no protection level"
-    UNTESTED = "untested", "its ranges cannot test the position of {detail}, and require_fault_tests is set"
+    UNTESTED = "untested", "its ranges cannot test {detail}, and require_fault_tests is set"
     PREDICTION_ALONE = "prediction_alone", "no range has been in use for {limit:g} s: prediction alone"
     UNDETERMINED = "undetermined", "its ranges, to one peer or along one line, have not fixed its place for {limit:g} s"
     RANGES_INCONSISTENT = "ranges_misfit", "half of its ranges are {value:.1f} sigma or more off where it is held to be"

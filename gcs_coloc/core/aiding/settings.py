@@ -38,8 +38,8 @@ class AidingSettings:
     alert_limit_m: float = positive(50.0)
     """No fix is sent while the horizontal protection level exceeds this. Chosen: what the operator's airspace allows."""
     require_fault_tests: bool = False
-    """`true`: no fix is sent while the ranges cannot test the receiver of every peer, as with one or two peers.
-    `false`: it is sent, and the page names the peers that must be right."""
+    """`true`: no fix is sent while the ranges cannot test the receiver of every peer, as with one or two peers, and the ranging
+    device, as with all peers to one side. `false`: it is sent, and the page names what must be right."""
     regain_after_s: float = between(3.0, 0.0)
     """A lost fix comes back only after it has been sound for this long; after at most a second where it was only too uncertain.
     Chosen: against a fix that flickers."""

@@ -82,8 +82,8 @@ class FaultLevel:
     """The level of all hypotheses except the nominal one, by the ranges of one epoch.
 
     `level_m`: without the bias of unknown delays, m. `estimate_sigma_m`: the estimate's 1-sigma then, m; the level grows with it.
-    `ranged_at_s`: service time until which ranges show its motion (`ranged_until_s`). `untested`: the vehicles whose receiver the
-    ranges cannot test.
+    `ranged_at_s`: service time until which ranges show its motion (`ranged_until_s`). `untested`: as in
+    `ProtectionLevel`.
     `other_side_m`: how far off it is on the other side of its peers (`other_side`), which counts unless its motion is shown, m.
     """
 
@@ -132,6 +132,12 @@ def is_tested(hypothesis: Separation) -> bool:
     return hypothesis.sigma_m <= _MOST_TESTED_SIGMA_M
 
 
+def _is_of_one(hypothesis: Separation, vehicle: int) -> bool:
+    """Return whether a hypothesis is the fault of one receiver, or of the vehicle's own ranging device."""
+    of_receiver = hypothesis.fault is FaultClass.RECEIVERS and len(hypothesis.vehicles) == 1
+    return of_receiver or (hypothesis.fault is FaultClass.RANGES and hypothesis.vehicles == (vehicle,))
+
+
 def fault_level(
     hypotheses: Sequence[Separation],
     estimate: Estimate,
@@ -145,11 +151,7 @@ def fault_level(
     `also`: a fault was found and not isolated; these receivers, which are in use, may be off as well or instead, with the
     probability of it at most. `unisolated`: the ranges of one of these pairs or devices are off, and it is open which.
     """
-    untested = {
-        each.vehicles[0]
-        for each in hypotheses
-        if each.fault is FaultClass.RECEIVERS and len(each.vehicles) == 1 and not is_tested(each)
-    }
+    untested = {each.vehicles[0] for each in hypotheses if _is_of_one(each, estimate.vehicle) and not is_tested(each)}
     level_m = _level_m(hypotheses, settings, also, unisolated)
     return FaultLevel(level_m, horizontal_sigma_m(estimate.protected_covariance), ranged_at_s, tuple(sorted(untested)))
 

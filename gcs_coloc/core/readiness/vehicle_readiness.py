@@ -10,7 +10,7 @@ from enum import StrEnum
 from gcs_coloc.core.aiding.inhibit import Inhibit, InhibitReason
 from gcs_coloc.core.measurements import AMBIGUOUS, Estimate, NoEstimate, Vector3
 from gcs_coloc.core.reasons import StatedReason, WordedReason
-from gcs_coloc.core.stations.node_id import node_name
+from gcs_coloc.core.stations.node_id import node_names
 
 HORIZON_S = 30.0
 """So far ahead a loss is predicted. Chosen: time to take a vehicle over, or to bring a peer into a better place."""
@@ -65,7 +65,7 @@ class LimitingReason(WordedReason):
     IN_LINE = "in_line", "peers {detail} in one line with it: HDOP {value:.0f}"
     AMBIGUOUS = "ambiguous", "a position on the other side of peers {detail} fits the ranges as well"
     BEYOND_ALERT_LIMIT = "beyond_alert_limit", "protection level {value:.0f} m, beyond the alert limit of {limit:g} m"
-    NOT_TESTED = "not_tested", "the ranges cannot test the position of {detail}"
+    NOT_TESTED = "not_tested", "the ranges cannot test {detail}"
     NO_ESTIMATE = "no_estimate", "{detail}"
     NOT_AIDED = "not_aided", "it could not be aided: {detail}"
     NOT_PREDICTED = "not_predicted", "the estimator {detail} predicts no loss of GPS"
@@ -101,12 +101,6 @@ def limiting_reason(inhibit: Inhibit | None, answer: Estimate | NoEstimate, hdop
                 return Limit(LimitingReason.AMBIGUOUS, detail=names)
             return Limit(LimitingReason.NO_ESTIMATE, detail=inhibit.detail)
     return Limit(LimitingReason.OTHER, detail=inhibit.text)
-
-
-def node_names(nodes: Sequence[int]) -> str:
-    """Return the names of some nodes in a sentence: "2, 3 and station 7"."""
-    names = [node_name(node) for node in nodes]
-    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 def unit_vectors(here: Vector3, peers: Mapping[int, Vector3], max_range_m: float) -> dict[int, Vector3]:

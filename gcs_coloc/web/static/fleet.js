@@ -17,10 +17,12 @@ function flight({ mode, armed, battery_percent: battery, alt_msl_m: height }) {
 const listed = (nodes) => [...nodes].sort((a, b) => (a < 0) - (b < 0) || Math.abs(a) - Math.abs(b)).map(nodeName).join(", ").replace(/, (?=[^,]*$)/, " and ");
 
 // The levels that an error does not exceed, and on what that rests.
-function protection({ hpl_m: hpl, vpl_m: vpl, untested }) {
+function protection({ sysid, hpl_m: hpl, vpl_m: vpl, untested }) {
   if (hpl === null) return "-";
-  const assumed = untested.length === 0 ? "" : `; assumes that ${listed(untested)} ${untested.length === 1 ? "is where it says: no range tests it" : "are where they say: no range tests them"}`;
-  return `${metres(hpl)}, height ${metres(vpl)}${assumed}`;
+  const others = untested.filter((node) => node !== sysid);
+  const device = others.length === untested.length ? "" : "; assumes that its ranging device is right: no range tests it";
+  const assumed = others.length === 0 ? "" : `; assumes that ${listed(others)} ${others.length === 1 ? "is where it says: no range tests it" : "are where they say: no range tests them"}`;
+  return `${metres(hpl)}, height ${metres(vpl)}${device}${assumed}`;
 }
 
 // How good its position is; the protection level first, for that decides on a fix.

@@ -167,4 +167,4 @@ def test_a_receiver_that_nothing_tests_ends_the_fix_only_where_tests_are_require
     answers = [known(0.0, untested=(2, 3))]
     assert asked(FixPolicy(AidingSettings(), 0.0), answers, 0.0) == [None]
     (text,) = asked(FixPolicy(AidingSettings(require_fault_tests=True), 0.0), answers, 0.0)
-    assert text == "its ranges cannot test the position of 2, 3, and require_fault_tests is set"
+    assert text == "its ranges cannot test the positions of 2 and 3, and require_fault_tests is set"

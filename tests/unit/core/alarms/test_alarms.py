@@ -151,7 +151,12 @@ def test_each_alarm_ends_with_what_to_do(vehicle):
 
 @pytest.mark.parametrize(
     ("untested", "assumption"),
-    [((), ";"), ((2,), " if 2 is right;"), ((2, -4), " if 2, station 3 are right;")],
+    [
+        ((), ";"),
+        ((2,), " if the position of 2 is right;"),
+        ((2, -4), " if the positions of 2 and station 3 are right;"),
+        ((LOCATED.sysid,), " if its ranging device is right;"),
+    ],
 )
 def test_the_alarm_of_a_located_vehicle_states_its_protection_level_and_what_no_range_tests(untested, assumption):
     [condition] = conditions(replace(LOCATED, hpl_m=14.4, vpl_m=20.0, untested=untested), 0.0)

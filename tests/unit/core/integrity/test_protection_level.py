@@ -1,4 +1,4 @@
-"""The protection level covers each cause, grows with what is not known, and says which receivers nothing tests."""
+"""The protection level covers each cause, grows with what is not known, and says which receivers and devices nothing tests."""
 
 from __future__ import annotations
 
@@ -98,6 +98,13 @@ def test_the_level_does_not_fall_as_a_test_becomes_worse(fault):
     levels_m = [level(Separation(fault, (2,), 1.8 * sigma_m, sigma_m)).level_m for sigma_m in (4.0, 5.9, 6.1, 10.0, 800.0)]
     assert levels_m[0] < levels_m[1] < levels_m[2]
     assert levels_m[3:] == pytest.approx([levels_m[2]] * 2, abs=0.01)
+
+
+def test_the_own_ranging_device_that_no_range_tests_is_named_by_the_own_id_and_other_devices_are_not():
+    """In a simulated flight with all peers to one side a device drifted by 2.3 m/s: 80 m in 35 s, and nothing was told."""
+    own, other = Separation(FaultClass.RANGES, (4,), 20.0, 14.0), Separation(FaultClass.RANGES, (2,), 20.0, 14.0)
+    assert level(receiver(1, 3.0, 1.5), own, other).untested == (4,)
+    assert level(receiver(1, 3.0, 1.5), own._replace(sigma_m=5.0), other).untested == ()
 
 
 def test_a_receiver_that_no_range_tests_is_named_and_counts_as_tested_by_6_m():
