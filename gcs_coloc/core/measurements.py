@@ -54,6 +54,9 @@ class RangeMeasurement:
     `clock_of` is the vehicle by whose clock it was stamped, None for the service's. `time_sigma_s` is how far that clock may be
     off, `time_sigma_m` what it means at the speed between the two: `sigma_m` holds that already. `samples`: how many ranges it
     is the mean of, in `sigma_m` already.
+
+    `offset_enu_m`: lever arm of `to_vehicle`'s antenna minus that of `from_vehicle`'s. With x from the reference point of
+    `from_vehicle` to that of `to_vehicle` the range is |x + offset|. Zero between reference points, as all ranges of the service.
     """
 
     from_vehicle: int
@@ -67,6 +70,7 @@ class RangeMeasurement:
     time_sigma_s: float = 0.0
     time_sigma_m: float = 0.0
     samples: float = 1.0
+    offset_enu_m: Vector3 = (0.0, 0.0, 0.0)
 
     @property
     def ends(self) -> tuple[int, int]:
@@ -76,6 +80,14 @@ class RangeMeasurement:
     def other_end(self, vehicle: int) -> int:
         """Return the end that a vehicle at the one end ranges."""
         return self.to_vehicle if self.from_vehicle == vehicle else self.from_vehicle
+
+    def virtual_end(self, vehicle: int, position_enu_m: Vector3) -> Vector3:
+        """Return where one end, at a position, seems to be from the reference point of the other end.
+
+        There it takes both lever arms over: the range is the distance to it.
+        """
+        (e, n, u), (oe, on, ou) = position_enu_m, self.offset_enu_m
+        return (e - oe, n - on, u - ou) if vehicle == self.from_vehicle else (e + oe, n + on, u + ou)
 
 
 @dataclass(frozen=True, slots=True)

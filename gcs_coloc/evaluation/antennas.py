@@ -1,35 +1,21 @@
-"""Antennas beside a body's reference point: ranges between them become ranges between the bodies.
+"""Antennas beside a body's reference point: their lever arms, turned by the attitudes, go into ranges.
 
 A range between two antennas is |x + d|, with x from one body's reference point to the other's and d the difference of the two
-lever arms, turned by the bodies' attitudes. As x is known only while the estimator runs, the range is reduced to |x| then, by
-|x + d| - |x| at the estimator's own x. Where an attitude is unknown, the direction of d is too: its length goes into the sigma.
+lever arms. Where an attitude is unknown, the direction of d is too: its length goes into the sigma.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from math import cos, hypot, sin, sqrt
 
 import numpy as np
 
-from gcs_coloc.core.error_ellipse import worst_sigma
-from gcs_coloc.core.estimator import Estimator
-from gcs_coloc.core.measurements import AttitudeMeasurement, Estimate, FloatArray, Measurement, RangeMeasurement, Vector3
+from gcs_coloc.core.measurements import AttitudeMeasurement, FloatArray, Measurement, RangeMeasurement, Vector3
 
 _ATTITUDE_HOLDS_S = 0.5
 """An attitude holds for so long; chosen: as long as the fleet filter takes one to hold."""
-
-
-@dataclass(frozen=True, slots=True)
-class AntennaRange(RangeMeasurement):
-    """A range between two antennas; `offset_enu_m` is the lever arm of `to` minus that of `from`, m.
-
-    `unknown_m` is the length of what is not in it because the attitude is unknown.
-    """
-
-    offset_enu_m: Vector3 = (0.0, 0.0, 0.0)
-    unknown_m: float = 0.0
 
 
 class Attitudes:
@@ -67,51 +53,16 @@ def body_to_enu(body_m: Vector3, roll_rad: float, pitch_rad: float, yaw_rad: flo
 
 def antenna_range(
     m: RangeMeasurement, arms: Sequence[Vector3], attitudes: Attitudes, anchors: Mapping[int, Vector3]
-) -> AntennaRange:
-    """Return the range with its lever arms, of `from` and `to`; those of an anchor are north, east, down."""
+) -> RangeMeasurement:
+    """Return a range with its lever arms, of `from` and `to`; those of an anchor are north, east, down.
+
+    An unknown direction costs the length of the lever arm over the root of three in the sigma.
+    """
     turned, unknown_m = [], 0.0
     for vehicle, arm in zip(m.ends, arms, strict=True):
         at_anchor = body_to_enu(arm, 0.0, 0.0, 0.0) if vehicle in anchors else None
         found = at_anchor if at_anchor is not None else attitudes.lever_arm_enu_m(vehicle, arm, m.measured_at_s)
         turned.append(found if found is not None else np.zeros(3))
         unknown_m = hypot(unknown_m, 0.0 if found is not None else float(np.linalg.norm(arm)))
-    offset = turned[1] - turned[0]
-    return AntennaRange(
-        m.from_vehicle,
-        m.to_vehicle,
-        m.measured_at_s,
-        m.arrived_at_s,
-        m.range_m,
-        m.sigma_m,
-        m.device_id,
-        offset_enu_m=(float(offset[0]), float(offset[1]), float(offset[2])),
-        unknown_m=unknown_m,
-    )
-
-
-def body_range(m: AntennaRange, estimator: Estimator, anchors: Mapping[int, Vector3]) -> RangeMeasurement:
-    """Return the range between the bodies' reference points, reduced with the estimator's present answers.
-
-    An unknown direction costs the length of the lever arm over the root of three in the sigma, an uncertain line of sight the
-    length times its angle.
-    """
-    places, sigma_m = [], 0.0
-    for vehicle in m.ends:
-        if vehicle in anchors:
-            places.append(np.array(anchors[vehicle]))
-            continue
-        where = estimator.estimate(vehicle, m.measured_at_s)
-        if isinstance(where, Estimate):
-            places.append(where.position_enu_m)
-            sigma_m = hypot(sigma_m, worst_sigma(where.covariance[:3, :3]))
-    offset, range_m = np.array(m.offset_enu_m), m.range_m
-    length_m, unknown_m = float(np.linalg.norm(offset)), m.unknown_m
-    if len(places) == 2 and (apart_m := float(np.linalg.norm(places[1] - places[0]))) > 0.0:
-        range_m -= float(np.linalg.norm(places[1] - places[0] + offset)) - apart_m
-        unknown_m = hypot(unknown_m, length_m * min(sigma_m / apart_m, 1.0))
-    else:
-        unknown_m = hypot(unknown_m, length_m)
-    sigma_m = sqrt(m.sigma_m**2 + unknown_m**2 / 3.0)
-    return RangeMeasurement(
-        m.from_vehicle, m.to_vehicle, m.measured_at_s, m.arrived_at_s, max(range_m, 0.0), sigma_m, m.device_id
-    )
+    e, n, u = (turned[1] - turned[0]).tolist()
+    return replace(m, offset_enu_m=(e, n, u), sigma_m=hypot(m.sigma_m, unknown_m / sqrt(3.0)))

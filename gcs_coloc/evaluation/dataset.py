@@ -67,10 +67,6 @@ class Dataset:
         """The nodes to be located."""
         return tuple(node for node in self.nodes if node.role == "denied")
 
-    def anchors_enu_m(self) -> dict[int, Vector3]:
-        """The places of the anchors by vehicle number."""
-        return {node.vehicle: node.place_enu_m for node in self.nodes if node.place_enu_m is not None}
-
 
 def read_dataset(directory: Path | str) -> Dataset:
     """Read a data set.
@@ -208,7 +204,8 @@ class _Rows:
         measured_m, sigma_m = row.not_negative("range_m"), _sigma(row, "sigma_m")
         range_m = (measured_m - a.range_bias_m - b.range_bias_m) / (1.0 + a.range_scale + b.range_scale)
         ids = [_antenna(row, column, node) for column, node in zip(_ANTENNAS, ends, strict=True)]
-        device_id = list(a.antennas).index(ids[0]) + 1 if ids[0] else 0
+        places = [list(node.antennas).index(i) + 1 if i else 0 for node, i in zip(ends, ids, strict=True)]
+        device_id = places[0] + places[1] * (len(a.antennas) + 1)
         m = RangeMeasurement(a.vehicle, b.vehicle, measured_at_s, arrived_at_s, max(range_m, 0.0), sigma_m, device_id)
         if not any(ids):
             return m

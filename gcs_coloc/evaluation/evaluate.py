@@ -30,7 +30,6 @@ from gcs_coloc.core.measurements import (
     VehicleClassReport,
     count_reasons,
 )
-from gcs_coloc.evaluation.antennas import AntennaRange, body_range
 from gcs_coloc.evaluation.data_checks.checks import check_delays, run_checks
 from gcs_coloc.evaluation.data_checks.findings import DataFinding, FindingKind, finding
 from gcs_coloc.evaluation.data_checks.recorded_data import recorded_data
@@ -41,7 +40,7 @@ from gcs_coloc.evaluation.scoring import EstimateSeries, VehicleScore, score, se
 _PLANE_EVERY_S = 0.2  # chosen: as often as the service reviews a fleet
 _PLANE_SIGMA_M = 0.1
 """Period and 1-sigma of the heights that a flat data set gives a denied vehicle. Chosen: a good barometer at 5 Hz."""
-_KINDS = {PositionMeasurement: "positions", RangeMeasurement: "ranges", AntennaRange: "ranges", AltitudeMeasurement: "heights"}
+_KINDS = {PositionMeasurement: "positions", RangeMeasurement: "ranges", AltitudeMeasurement: "heights"}
 _EPOCH_S = 0.2
 """Spacing of the epochs of a vehicle without truth. Chosen: as often as most data sets range."""
 _PROGRESS_EVERY = 500  # chosen: several times a second
@@ -182,7 +181,6 @@ def evaluate_dataset(
     for node in dataset.nodes:
         if node.vehicle_class is not None:
             estimator.add(VehicleClassReport(node.vehicle, start_s, start_s, node.vehicle_class))
-    anchors = dataset.anchors_enu_m()
     for done, m in enumerate(measurements):
         if done % _PROGRESS_EVERY == 0:
             progress(done, len(measurements))
@@ -191,7 +189,7 @@ def evaluate_dataset(
         if failed != denied:
             denied = failed
             estimator.set_denied(denied, m.arrived_at_s)
-        estimator.add(body_range(m, estimator, anchors) if isinstance(m, AntennaRange) else m)
+        estimator.add(m)
         if isinstance(m, RangeMeasurement):
             for residual in estimator.drain_residuals():
                 for end in (residual.from_vehicle, residual.to_vehicle):

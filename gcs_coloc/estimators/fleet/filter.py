@@ -43,6 +43,7 @@ _LATE_ACCELERATION_MPS2 = 3.0  # 1-sigma per axis; chosen: a turn at 17 degrees 
 _KIND_DENIED, _KIND_CLASS, _KIND_POSITION, _KIND_ALTITUDE, _KIND_ATTITUDE, _KIND_ODOMETRY, _KIND_RANGE = range(7)
 
 _CLASSES = tuple(VehicleClass)
+_NO_LEVER_ARM = (0.0, 0.0, 0.0)
 
 Event = Measurement | frozenset[int]
 
@@ -187,6 +188,8 @@ def _key(m: Measurement) -> Key | None:
             return None
         sigmas = (m.sigma_m,)
         head, tail = (_KIND_RANGE, m.from_vehicle, m.to_vehicle, m.device_id), (m.range_m, m.time_sigma_s, m.time_sigma_m)
+        if m.offset_enu_m != _NO_LEVER_ARM:
+            tail = *tail, *m.offset_enu_m
     elif isinstance(m, AltitudeMeasurement):
         sigmas = (m.sigma_m,)
         head, tail = (_KIND_ALTITUDE, m.vehicle), (m.up_m,)

@@ -237,7 +237,7 @@ class FleetModel:
         pair = pair_key(*ends, m.device_id)
         sigma_m, _ = without_time_error(m)
         before = self.pairs.get(pair, PairNoise())
-        noise = self.pairs[pair] = before.updated(m.measured_at_s, m.range_m, sigma_m)
+        noise = self.pairs[pair] = before.updated(m.measured_at_s, cluster.between_references_m(m), sigma_m)
         coloured_m = self.settings.range_coloured_share * noise.used.split(0, sigma_m, self.settings.least_coloured_share)[1]
         if m.clock_of in ends:
             change_time_stamp_offset_sigma(cluster, m.clock_of, time_stamp_offset_sigma_s(m, self.settings))

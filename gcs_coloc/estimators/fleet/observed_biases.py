@@ -50,7 +50,7 @@ def observe_bias(cluster: Cluster, vehicle: int, other: int, m: RangeMeasurement
             # The height of the state goes with the biases already; the measured one does not.
             x[2], P[2, 2], height_m2 = height.up_m, height.sigma_m**2, height.sigma_m**2
         window = BiasWindow(at_s, x, P, height_m2, record.profile.max_acceleration_mps2)
-    place = cluster.position(other)
+    place = m.virtual_end(other, cluster.position(other))
     record.bias_window = window.with_sample(BiasSample(at_s, (other, m.device_id), m.range_m, white_m, coloured_m, place))
 
 

@@ -37,7 +37,7 @@ def is_searching(clusters: ClusterSet, vehicle: int, other: int, m: RangeMeasure
     P = cluster.joint.covariance(vehicle)
     if not is_too_wide(P.item(0, 0) + P.item(1, 1), m.range_m, m.sigma_m):
         return False
-    there = _locate_peer(clusters, other, m.measured_at_s)
+    there = _locate_peer(clusters, other, m)
     if there is None:
         return False
     # What a peer's own error adds to a range is no reason to search.
@@ -59,7 +59,7 @@ def begin_by_slow_ranges(clusters: ClusterSet, vehicle: int, other: int, m: Rang
     peers = {each.other_end(vehicle) for each in last}
     if not len(record.recent_ranges) < LEAST_RANGES == len(last) or len(peers) < LEAST_PEERS:
         return False
-    there = _locate_peer(clusters, other, m.measured_at_s)
+    there = _locate_peer(clusters, other, m)
     if there is None:
         return False
     speeds_mps = 0.5 * record.profile.max_speed_mps, record.profile.max_climb_mps
@@ -101,7 +101,7 @@ def search_with_range(clusters: ClusterSet, vehicle: int, other: int, m: RangeMe
     """Update a search with a range; with one place left, initialise the vehicle's states there."""
     record, at_s = clusters.records[vehicle], m.measured_at_s
     assert record.search is not None
-    there = _locate_peer(clusters, other, at_s)
+    there = _locate_peer(clusters, other, m)
     if there is None:
         return Outcome.KEPT_INITIALISING
     search = predicted_search(record.search, record.profile, at_s, clusters.settings)
@@ -136,13 +136,18 @@ def predicted_search(search: PositionSearch, profile: MotionProfile, at_s: float
     return search.predicted(at_s, densities, (0.5 * profile.max_speed_mps, profile.max_climb_mps))
 
 
-def _locate_peer(clusters: ClusterSet, vehicle: int, at_s: float) -> tuple[FloatArray, FloatArray] | None:
-    """Return position (3,) and covariance (3, 3) of a peer by its states, None where it has none."""
-    record = clusters.records[vehicle]
+def _locate_peer(clusters: ClusterSet, vehicle: int, m: RangeMeasurement) -> tuple[FloatArray, FloatArray] | None:
+    """Return position (3,) and covariance (3, 3) of a peer by its states, None where it has none.
+
+    The position is that of the virtual end of a range.
+    """
+    record, at_s = clusters.records[vehicle], m.measured_at_s
     if vehicle not in clusters and (record.denied_vehicle or not initialise_from_reports(clusters, vehicle, at_s)):
         return None
     cluster = clusters[vehicle]
     if record.static:
-        return cluster.joint.mean(vehicle).copy(), cluster.joint.covariance(vehicle).copy()
-    x, P = cluster.predict(vehicle, at_s)
-    return x[POSITION].copy(), P[POSITION, POSITION].copy()
+        x, P = cluster.joint.mean(vehicle), cluster.joint.covariance(vehicle)
+    else:
+        x, P = cluster.predict(vehicle, at_s)
+    e, n, u = x[POSITION].tolist()
+    return np.array(m.virtual_end(vehicle, (e, n, u))), P[POSITION, POSITION].copy()

@@ -201,14 +201,15 @@ def make_circle(
         own_state, own_covariance = own_track.horizontal.predicted(at_s)
         velocity, velocity_covariance = own_state[[1, 3]], own_covariance[np.ix_([1, 3], [1, 3])]
     elapsed_s = at_s - then_s
+    e, n, u = measurement.virtual_end(peer, (peer_state.item(0), peer_state.item(2), peer_height.item(0)))
     variances = np.array([peer_track.sigma_h_m, peer_track.sigma_h_m, peer_track.sigma_v_m]) ** 2
     return Circle(
         peer=peer,
-        centre_m=peer_state[[0, 2]] + velocity * elapsed_s,
+        centre_m=np.array([e, n]) + velocity * elapsed_s,
         centre_covariance=peer_covariance[np.ix_([0, 2], [0, 2])] + velocity_covariance * elapsed_s**2,
         range_m=measurement.range_m,
         range_sigma_m=measurement.sigma_m,
-        height_m=float(own_height[0] - peer_height[0]),
+        height_m=own_height.item(0) - u,
         height_variance_m2=float(peer_height_covariance[0, 0]) + (peer_track.sigma_v_m**2 if lasting else 0.0),
         lasting_covariance=np.diag(variances) if lasting else np.zeros((3, 3)),
     )

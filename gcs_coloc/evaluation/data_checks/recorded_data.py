@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, PositionMeasurement, RangeMeasurement
-from gcs_coloc.evaluation.antennas import AntennaRange
 from gcs_coloc.evaluation.data_checks.findings import median_residual_m
 from gcs_coloc.evaluation.dataset import Dataset
 
@@ -104,7 +103,7 @@ def recorded_data(dataset: Dataset) -> RecordedData:
             positions[m.vehicle].append(row)
         elif isinstance(m, RangeMeasurement):
             # Between antennas it is a range between the bodies within the lever arms.
-            arm_m = hypot(*m.offset_enu_m, m.unknown_m) if isinstance(m, AntennaRange) else 0.0
+            arm_m = hypot(*m.offset_enu_m)
             ranges.append((m.measured_at_s, m.from_vehicle, m.to_vehicle, m.range_m, hypot(m.sigma_m, arm_m)))
         elif isinstance(m, AltitudeMeasurement) and dataset.dims == 3:
             heights[m.vehicle].append((m.measured_at_s, m.up_m, m.sigma_m))

@@ -1,31 +1,15 @@
-"""Lever arms: a range between two antennas becomes the range between the bodies."""
+"""Lever arms: what they add to the range between two bodies."""
 
 from math import pi
 
-import numpy as np
 import pytest
 
-from gcs_coloc.core.measurements import AttitudeMeasurement, Estimate, NoEstimate, NoEstimateReason, RangeMeasurement, Unlocated
-from gcs_coloc.evaluation.antennas import Attitudes, antenna_range, body_range, body_to_enu
+from gcs_coloc.core.measurements import AttitudeMeasurement, RangeMeasurement
+from gcs_coloc.evaluation.antennas import Attitudes, antenna_range, body_to_enu
 from gcs_coloc.evaluation.dataset import read_dataset
 from gcs_coloc.evaluation.evaluate import dataset_findings
 
 ANCHOR = {2: (10.0, 0.0, 0.0)}
-
-
-class Known:
-    """An estimator that knows one place."""
-
-    def __init__(self, place=None, sigma_m=0.0):
-        self._place, self._covariance = place, sigma_m**2 * np.eye(6)
-
-    def estimate(self, vehicle, at_s):
-        if self._place is None:
-            return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.OTHER, detail="none"))
-        return Estimate(vehicle, at_s, np.array(self._place), np.zeros(3), self._covariance, None, 3)
-
-
-LOST = Known((0.0, 0.0, 0.0), 50.0)
 
 
 def facing(yaw_rad, roll_rad=0.0):
@@ -51,27 +35,25 @@ def test_a_body_is_turned_as_its_attitude_says(body, angles, enu):
     assert body_to_enu(body, *angles) == pytest.approx(enu, abs=1e-12)
 
 
-def test_an_antenna_towards_the_anchor_measures_less_and_one_away_more():
-    towards = body_range(ranged(9.5, facing(pi / 2)), Known((0.0, 0.0, 0.0)), ANCHOR)
-    away = body_range(ranged(10.5, facing(-pi / 2)), Known((0.0, 0.0, 0.0)), ANCHOR)
-    assert (towards.range_m, away.range_m) == pytest.approx((10.0, 10.0))
-    assert towards.sigma_m == pytest.approx(0.1)
-    assert type(towards) is RangeMeasurement
+@pytest.mark.parametrize(("yaw_rad", "offset"), [(pi / 2, (-0.5, 0.0, 0.0)), (-pi / 2, (0.5, 0.0, 0.0))])
+def test_an_antenna_towards_the_anchor_measures_less_and_one_away_more(yaw_rad, offset):
+    found = ranged(10.0, facing(yaw_rad))
+    assert found.offset_enu_m == pytest.approx(offset)
+    assert (found.range_m, found.sigma_m) == (10.0, 0.1)
+    # From the body's reference point the anchor seems to be as near as the antenna is to it.
+    assert found.virtual_end(2, ANCHOR[2]) == pytest.approx((10.0 + offset[0], 0.0, 0.0))
+    assert found.virtual_end(1, (0.0, 0.0, 0.0)) == pytest.approx((-offset[0], 0.0, 0.0))
 
 
-@pytest.mark.parametrize(
-    ("attitudes", "known"),
-    [(Attitudes([]), Known((0.0, 0.0, 0.0))), (facing(0.0), Known()), (facing(0.0), LOST)],
-)
-def test_what_is_unknown_goes_into_the_sigma(attitudes, known):
-    reduced = body_range(ranged(10.0, attitudes), known, ANCHOR)
-    assert reduced.sigma_m == pytest.approx((0.1**2 + 0.5**2 / 3) ** 0.5, rel=0.01)
-    assert reduced.range_m == pytest.approx(10.0, abs=0.02)
+@pytest.mark.parametrize(("attitudes", "at_s"), [(Attitudes([]), 1.0), (facing(0.0), 9.0)])
+def test_what_is_unknown_goes_into_the_sigma(attitudes, at_s):
+    found = ranged(10.0, attitudes, at_s=at_s)
+    assert found.offset_enu_m == (0.0, 0.0, 0.0)
+    assert found.sigma_m == pytest.approx((0.1**2 + 0.5**2 / 3) ** 0.5)
 
 
-def test_an_attitude_of_long_ago_is_unknown():
-    assert ranged(10.0, facing(0.0), at_s=9.0).unknown_m == 0.5
-    assert ranged(10.0, facing(0.0), at_s=1.4).unknown_m == 0.0
+def test_an_attitude_of_just_before_holds():
+    assert ranged(10.0, facing(0.0), at_s=1.4).sigma_m == 0.1
 
 
 def test_antennas_of_a_data_set_are_read(tmp_path):
@@ -108,8 +90,8 @@ down_m = -2.0
     dataset = read_dataset(tmp_path)
     one, plain = (m for m in dataset.measurements if isinstance(m, RangeMeasurement))
     assert one.offset_enu_m == pytest.approx((0.3, 0.0, 2.0))
-    assert (one.device_id, plain.device_id) == (1, 0)
-    assert type(plain) is RangeMeasurement
+    assert plain.offset_enu_m == (0.0, 0.0, 0.0)
+    assert (one.device_id, plain.device_id) == (3, 0)
     finding, *_ = dataset_findings(dataset)
     assert "1 of 3 rows of ranges.csv are wrong and left out" in finding.text
     assert "'right' is not the id of any antenna of 'body'" in finding.text

@@ -250,6 +250,6 @@ def _fits_reflection(
         return False
     position, n = np.array(cluster.position(denied_vehicle)), plane.normal
     reflected = position - 2.0 * float((position - plane.point_m) @ n) * n
-    residual_m = m.range_m - math.dist(reflected, cluster.position(other))
+    residual_m = m.range_m - math.dist(reflected, m.virtual_end(other, cluster.position(other)))
     variance_m2 = result.sigma_m**2 + float(np.trace(cluster.joint.covariance(denied_vehicle)[POSITION, POSITION]))
     return residual_m * residual_m <= cluster.settings.gate_sigma**2 * variance_m2

@@ -7,10 +7,11 @@ its vehicles. `update` corrects its joint state.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from numbers import Integral
 
-from gcs_coloc.core.measurements import FloatArray, Vector3
+from gcs_coloc.core.measurements import FloatArray, RangeMeasurement, Vector3
 from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd, Transition, range_jacobian
 from gcs_coloc.estimators.fleet.ekf.air_data import steady_air_m2
 from gcs_coloc.estimators.fleet.ekf.process_model import fresh_air_data, set_transition, step_ends
@@ -82,6 +83,13 @@ class Cluster:
         position = (x[0] - offset_s * ve, x[1] - offset_s * vn, x[2] - offset_s * vu)
         # As RangeEnd(...) does, at half the time.
         return _new(RangeEnd, (vehicle, where, position, (ve, vn, vu), offset_s))
+
+    def between_references_m(self, m: RangeMeasurement) -> float:
+        """Return a range without its lever arms by the states: of a body that turns it is smooth too, m."""
+        if not any(m.offset_enu_m):
+            return m.range_m
+        here, there = self.position(m.from_vehicle), self.position(m.to_vehicle)
+        return m.range_m - math.dist(here, m.virtual_end(m.to_vehicle, there)) + math.dist(here, there)
 
     def range_jacobian(self, a: RangeEnd, b: RangeEnd, unit: Vector3) -> FloatArray:
         """Return the Jacobian (4, 1 + n) of the vector `b` to `a` by states, along `unit`, east, north, up."""

@@ -215,7 +215,8 @@ def slant_range(
 ) -> LinearisedRange | None:
     """Linearise a slant range: h = |d| + b + c + (d/dt |d|) tau, eq. (14).
 
-    Here d = p_a - p_b by eq. (10). None means that |d| is about zero.
+    Here d = p_a - p_b - l by eq. (10), with the lever arms l = `m.offset_enu_m`; a is `m.from_vehicle`. None means that |d| is
+    about zero.
 
     Second-order terms of eq. (15) (Bar-Shalom, Li, Kirubarajan 2001, section 10.3.2): the mean range to an uncertain position
     is longer than the range to its mean, and its variance larger. `pair` is the index of the pair's b, c stands after it.
@@ -225,7 +226,8 @@ def slant_range(
     # h
     a, b = ends
     (ax, ay, az), (bx, by, bz) = a.position, b.position
-    dx, dy, dz = ax - bx, ay - by, az - bz
+    ox, oy, oz = m.offset_enu_m
+    dx, dy, dz = ax - bx - ox, ay - by - oy, az - bz - oz
     distance = math.sqrt(dx * dx + dy * dy + dz * dz)
     if distance < _LEAST_DISTANCE_M:
         return None

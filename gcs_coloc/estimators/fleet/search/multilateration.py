@@ -38,6 +38,10 @@ _HEIGHT_PRIOR_M = 300.0  # chosen: priors as wide as small aircraft fly, about r
 _STRETCH_S = 1.0  # chosen: the acceleration is constant so long; a roll from one turn into another takes about a second
 
 
+_Antennas = tuple[int, int]
+"""A peer and the device that ranges it."""
+
+
 class FlownThroughAir(NamedTuple):
     """How a vehicle flew through the air, by its headings and airspeeds.
 
@@ -74,7 +78,7 @@ class MultilaterationProblem:
     def __init__(self, at_s: float, acceleration_sigma_mps2: float, flown: FlownThroughAir | None = None) -> None:
         self.at_s, self.flown = at_s, flown
         self.acceleration_sigma_mps2 = acceleration_sigma_mps2 if flown is None else flown.error_sigma_mps2
-        self._rows: list[tuple[int, float, float, float, float, float, float, float]] = []
+        self._rows: list[tuple[_Antennas, float, float, float, float, float, float, float]] = []
         self._heights: list[tuple[float, float, float]] = []
 
     def add_range(
@@ -94,9 +98,11 @@ class MultilaterationProblem:
         """
         velocity = near.velocity_enu_mps or _slope(past)
         step_s = m.measured_at_s - near.measured_at_s
-        e, n, u = (x + v * step_s for x, v in zip(near.position_enu_m, velocity, strict=True))
+        (e, n, u), (ve, vn, vu) = near.position_enu_m, velocity
+        e, n, u = m.virtual_end(peer, (e + ve * step_s, n + vn * step_s, u + vu * step_s))
         peer_sigma_m = math.sqrt(near.sigma_h_m**2 + lasting_m2 + turned_m**2)
-        self._rows.append((peer, m.measured_at_s - self.at_s, e, n, u, m.range_m, m.sigma_m, peer_sigma_m))
+        antennas = peer, m.device_id if any(m.offset_enu_m) else 0
+        self._rows.append((antennas, m.measured_at_s - self.at_s, e, n, u, m.range_m, m.sigma_m, peer_sigma_m))
 
     def add_altitude(self, m: AltitudeMeasurement) -> None:
         """Add a height of the denied vehicle itself."""
@@ -104,23 +110,29 @@ class MultilaterationProblem:
 
     def peers(self) -> Counter[int]:
         """Return the number of ranges with each peer."""
-        return Counter(row[0] for row in self._rows)
+        return Counter(peer for (peer, _), *_ in self._rows)
+
+    def antennas_of_a_peer(self) -> int:
+        """Return to how many antennas of one peer, or with how many of its own, the vehicle ranges at most."""
+        return max(Counter(peer for peer, _ in {row[0] for row in self._rows}).values())
 
     def to_fit(self) -> RangesToFit:
         """Return what is to be fitted."""
         place, prior_sigmas = self._motion()
-        return RangesToFit(self._ranges(), np.array([row[0] for row in self._rows]), self._heights_to_fit(), place, prior_sigmas)
+        peers = np.array([peer for (peer, _), *_ in self._rows])
+        return RangesToFit(self._ranges(), peers, self._heights_to_fit(), place, prior_sigmas)
 
     def _ranges(self) -> FloatArray:
         """Return the ranges (n, 6): time, s, and the peer's east, north and up, range and sigma, m.
 
-        The sigmas are inflated so that the coloured error of a peer counts once in all its ranges.
+        The sigmas are inflated so that the coloured error of a peer counts once in all its ranges. With lever arms it counts once
+        for each antenna: what their ranges differ by tells of the side of the peers, and so does a wrong attitude.
         """
-        counts = self.peers()
+        counts = Counter(row[0] for row in self._rows)
         rows = np.array(
             [
-                (t, e, n, u, r, math.sqrt(sigma**2 + counts[peer] * peer_sigma**2))
-                for peer, t, e, n, u, r, sigma, peer_sigma in self._rows
+                (t, e, n, u, r, math.sqrt(sigma**2 + counts[antennas] * peer_sigma**2))
+                for antennas, t, e, n, u, r, sigma, peer_sigma in self._rows
             ]
         )
         if self.flown is not None:
@@ -195,7 +207,8 @@ def solve_multilateration(problem: MultilaterationProblem, limit_sigma_m: float)
     if found is None:
         return Unlocated(NoEstimateReason.CONTRADICTORY)
     (x, cost, normal, best), left_out = found
-    covariance = np.linalg.inv(normal[best])[:6, :6]
+    # Antennas share the error of their peer: all of them tell of the place no better than one.
+    covariance = np.linalg.inv(normal[best])[:6, :6] * problem.antennas_of_a_peer()
     worst_m = horizontal_sigma_m(covariance)
     if worst_m > limit_sigma_m:
         return Unlocated(NoEstimateReason.UNDETERMINED, worst_m)

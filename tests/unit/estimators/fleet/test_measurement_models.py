@@ -92,23 +92,24 @@ def test_air_data_measure_speed_and_course_of_the_air_velocity(known):
     np.testing.assert_allclose(linear.HA[:, 1:], H @ P, atol=1e-6)
 
 
+@pytest.mark.parametrize("lever_arms", [(0.0, 0.0, 0.0), (20.0, -30.0, 5.0)])
 @pytest.mark.parametrize("clock_of", [None, 1, 2])
-def test_a_range_is_the_distance_with_its_errors_of_second_order(clock_of):
+def test_a_range_is_the_distance_with_its_errors_of_second_order(clock_of, lever_arms):
     joint = joint_state()
     x, P = parts(joint)
     ends = [
         RangeEnd(v, joint.where[v], tuple(reference.position(b)), tuple(b[3:6]), float(b[14]))
         for v, b in ((1, x[:16]), (2, x[16:32]))
     ]
-    m = RangeMeasurement(1, 2, 0.0, 0.0, 365.0, 1.0, clock_of=clock_of)
+    m = RangeMeasurement(1, 2, 0.0, 0.0, 365.0, 1.0, clock_of=clock_of, offset_enu_m=lever_arms)
     linear = slant_range(joint, (ends[0], ends[1]), joint.where[pair_key(1, 2, 0)].start, m, 0.49, 0.01)
     assert linear is not None
-    d = reference.position(x[:16]) - reference.position(x[16:32])
+    d = reference.position(x[:16]) - reference.position(x[16:32]) - lever_arms
     distance = float(np.linalg.norm(d))
     closing = float((d / distance) @ (x[3:6] - x[19:22]))
 
     def h(x: np.ndarray) -> np.ndarray:
-        d = reference.position(x[:16]) - reference.position(x[16:32])
+        d = reference.position(x[:16]) - reference.position(x[16:32]) - lever_arms
         late_s = {None: 0.0, 1: x[14], 2: x[30]}[clock_of]
         return np.array([np.linalg.norm(d) + x[32] + x[33] + closing * late_s])
 
