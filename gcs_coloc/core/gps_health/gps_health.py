@@ -100,6 +100,7 @@ class GpsHealth:
         self._was_healthy = self._was_failed = False
         self._was_silent_only = False
         self._has_own_trouble = False
+        self._is_placed = True
         self._aided_at_s = float("-inf")
         self._complains_since_s, self._complained_at_s = float("inf"), float("-inf")
         self._reported_at_s = self._heard_at_s = float("-inf")
@@ -139,7 +140,7 @@ class GpsHealth:
 
     def add_position(self, reported: PositionMeasurement, *, own: bool) -> None:
         """Add the position that its autopilot reports. `own` is False while the vehicle is aided."""
-        self._motion.add_position(reported, own=own)
+        self._motion.add_position(reported, own=own, is_placed=self._is_placed)
 
     def update(self, evidence: GpsEvidence, now_s: float) -> bool:
         """Move the machine on to `now_s`; True where the state changed."""
@@ -272,7 +273,8 @@ class GpsHealth:
         system, ekf, receiver = evidence.system, evidence.ekf, evidence.receiver
         newest_s = max((each.received_at_s for each in (system, ekf) if each is not None), default=float("-inf"))
         complaints_s = [system.received_at_s] if system is not None and system.gps_enabled and not system.gps_healthy else []
-        if ekf is not None and not ekf.horizontal_position_absolute:
+        self._is_placed = ekf is None or ekf.horizontal_position_absolute
+        if ekf is not None and not self._is_placed:
             complaints_s.append(ekf.received_at_s)
         self._complains_since_s = min(self._complains_since_s, *complaints_s) if complaints_s else float("inf")
         self._complained_at_s = max(complaints_s, default=float("-inf"))

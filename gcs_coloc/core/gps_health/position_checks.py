@@ -73,6 +73,7 @@ class MotionCheck:
     """
 
     _steps: deque[PathStep] = field(default_factory=deque)
+    _unplaced_until_s: float = float("-inf")
     _missed_since_s: float | None = None
     _missed_at_s: float = float("-inf")
     _miss_m: float = 0.0
@@ -84,10 +85,11 @@ class MotionCheck:
     _same_from: PathStep | None = None
     _same_moved_m: float = 0.0
 
-    def add_position(self, reported: PositionMeasurement, *, own: bool) -> None:
+    def add_position(self, reported: PositionMeasurement, *, own: bool, is_placed: bool = True) -> None:
         """Add a reported position; one without velocity shows nothing.
 
         `own` is False while the vehicle flies on our fix: its positions are then an echo, and only that it moves counts.
+        `is_placed` is False while its EKF has no absolute position: an ArduPlane that has booted states a height of 0 until then.
         """
         if reported.velocity_enu_mps is None or reported.sigma_velocity_mps is None:
             return
@@ -96,6 +98,8 @@ class MotionCheck:
         if not own:
             self._steps.clear()
         step = self._next(reported, reported.velocity_enu_mps)
+        if not is_placed:
+            self._unplaced_until_s = step.at_s
         while step.at_s - self._steps[0].at_s > _WINDOW_S:
             self._steps.popleft()
         first = self._steps[0]
@@ -104,8 +108,8 @@ class MotionCheck:
         drift_m = reported.sigma_velocity_mps * (step.at_s - first.at_s)
         most_m = _SIGMAS * sqrt(2.0 * reported.sigma_h_m**2 + drift_m**2) + _LEAST_MISS_M
         most_up_m = _SIGMAS * sqrt(2.0 * reported.sigma_v_m**2 + drift_m**2) + _LEAST_MISS_UP_M
-        if all(each.velocity_mps[2] == 0.0 for each in self._steps):
-            up_m = 0.0  # it states no vertical velocity
+        if first.at_s <= self._unplaced_until_s or all(each.velocity_mps[2] == 0.0 for each in self._steps):
+            up_m = 0.0  # it had no height, or states no vertical velocity
         if hypot(east_m, north_m) <= most_m and abs(up_m) <= most_up_m:
             self._missed_since_s = None
             return

@@ -336,6 +336,19 @@ def test_a_silence_that_is_over_has_shown_nothing_against_a_receiver_that_was_in
     assert machine.health.may_witness
 
 
+def test_a_height_that_is_set_before_the_ekf_has_a_place_makes_no_suspect_after_it():
+    machine = Machine()
+    for step in range(150):
+        t = step / 5
+        up_m = 450.0 if t >= 10.0 else 0.0
+        machine.health.add_position(PositionMeasurement(1, t, t, (0.0, 0.0, up_m), 1.0, 2.0, (0.0, 0.0, 0.1), 0.3), own=True)
+        machine.add(receiver(t, fix_type=3 if t >= 9.0 else 1))
+        machine.add(EkfStatus(1, t, t >= 20.0, False, False))
+        machine.update(t)
+        assert machine.health.reason.reason is not GpsReason.IMPLAUSIBLE_MOTION
+    assert machine.state in (GpsState.RECOVERING, GpsState.HEALTHY)
+
+
 def test_an_identified_contradiction_fails_at_once_and_an_unclear_one_is_suspect():
     identified, among = healthy_until(5.0), healthy_until(5.0)
     identified.know(contradiction=PositionFault(FaultReason.CONTRADICTS_RANGES))

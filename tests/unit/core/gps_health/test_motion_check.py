@@ -92,6 +92,15 @@ def test_an_altitude_may_follow_the_climb_as_a_barometer_on_a_hot_day_does(share
         assert check.implausible(t + 0.1) is None
 
 
+def test_the_height_that_an_ekf_sets_with_its_origin_is_no_jump():
+    """An ArduPlane that had booted: at its place from 2 s on, at a height of 0 until its EKF set its origin 8 s later."""
+    check = MotionCheck()
+    for i in range(400):
+        t = i / 10
+        check.add_position(climbing(t, 450.0 if t >= 10.0 else 0.0, 0.1), own=True, is_placed=t >= 20.0)
+        assert check.implausible(t + 0.1) is None
+
+
 def test_an_altitude_of_a_sender_that_states_no_vertical_velocity_is_not_held_against_it():
     check = MotionCheck()
     for i in range(300):
