@@ -15,7 +15,7 @@ from gcs_coloc.core.measurements import Estimate, NoEstimate, NoEstimateReason
 from gcs_coloc.core.messages.outbound import GpsInput
 from gcs_coloc.core.reasons import StatedReason
 from gcs_coloc.core.residual_log import CONSISTENT_MEDIAN_NIS
-from gcs_coloc.core.stations.node_id import untested_words
+from gcs_coloc.core.stations.node_id import untested_text
 
 _MOST_DETERMINED_HDOP = 30.0  # from 46 on positions in turns were off by ten times their bound, up to 27 never beyond it
 _WEARS_OFF = 3.0  # chosen: a moment that seems determined by chance takes back three times its length
@@ -113,7 +113,7 @@ class FixPolicy:
         if not level.horizontal_m <= settings.alert_limit_m:
             return StatedReason(InhibitReason.BEYOND_ALERT_LIMIT, level.horizontal_m, settings.alert_limit_m)
         if level.untested and settings.require_fault_tests:
-            return StatedReason(InhibitReason.UNTESTED, detail=untested_words(level.untested, answer.vehicle))
+            return StatedReason(InhibitReason.UNTESTED, detail=untested_text(level.untested, answer.vehicle))
         if now_s - self._ranged_at_s > settings.prediction_s:
             return StatedReason(InhibitReason.PREDICTION_ALONE, limit=settings.prediction_s)
         if self._undetermined_s > settings.prediction_s:

@@ -19,7 +19,7 @@ from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.core.reasons import DOCTOR_NAMES_SETTINGS
 from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
 from gcs_coloc.core.standby.standby_snapshot import StandbySnapshot
-from gcs_coloc.core.stations.node_id import untested_words
+from gcs_coloc.core.stations.node_id import untested_text
 
 LightColour = Literal["good", "caution", "bad", "unknown"]
 SILENT_AFTER_S = 3.0
@@ -137,7 +137,7 @@ def _gps_condition(v: VehicleSnapshot) -> Condition | None:
         if v.hpl_m is not None:
             located += f", protection level {v.hpl_m:.0f} m"
             if v.untested:
-                located += f" if {untested_words(v.untested, v.sysid)} {'is' if len(v.untested) == 1 else 'are'} right"
+                located += f" if {untested_text(v.untested, v.sysid)} {'is' if len(v.untested) == 1 else 'are'} right"
         text = f"GPS {v.gps_state}: {v.gps_reason}. Located {located}; {v.aiding}"
         brief = f"GPS {'lost' if v.gps_state == 'failed' else v.gps_state}, "
         brief += f"located within {v.bound_95_m:.0f} m" if v.bound_95_m is not None else "not located"

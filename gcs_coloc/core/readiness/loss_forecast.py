@@ -31,7 +31,7 @@ from gcs_coloc.core.readiness.vehicle_readiness import (
     VehicleReadiness,
     limiting_reason,
 )
-from gcs_coloc.core.stations.node_id import node_names, untested_words
+from gcs_coloc.core.stations.node_id import node_names, untested_text
 
 _MOST_HDOP_CHANGE, _MOST_INFLATION, _MOST_BOUND_CHANGE = 1.3, 1.25, 1.15
 _LEAST_RANGES_HZ = 5.0
@@ -121,7 +121,7 @@ def _judge(
         limit = Limit(LimitingReason.IN_LINE, min(hdop, 999.0), detail=node_names(nodes))
     untested = last.protection.untested if isinstance(last, Estimate) and last.protection is not None else ()
     if limit is None and untested:
-        limit = Limit(LimitingReason.NOT_TESTED, detail=untested_words(untested, situation.vehicle))
+        limit = Limit(LimitingReason.NOT_TESTED, detail=untested_text(untested, situation.vehicle))
     return (ReadinessState.READY if limit is None else ReadinessState.DEGRADED), limit
 
 

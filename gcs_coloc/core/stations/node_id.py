@@ -46,7 +46,7 @@ def node_names(nodes: Sequence[int]) -> str:
     return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
-def untested_words(untested: Sequence[int], vehicle: int) -> str:
+def untested_text(untested: Sequence[int], vehicle: int) -> str:
     """Return what the ranges of a vehicle cannot test, in words, by `ProtectionLevel.untested`."""
     others = [node for node in untested if node != vehicle]
     positions = f"the position{'s' if len(others) > 1 else ''} of {node_names(others)}" if others else ""
